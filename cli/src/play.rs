@@ -162,6 +162,10 @@ impl Play {
         } else {
             output::print(&table(&config, &flown))?;
         }
+        let succeeded = flown.iter().filter(|episode| episode.success).count();
+        if !self.as_trained && policy.info().training.is_some() && 2 * succeeded < flown.len() {
+            tracing::warn!("most episodes failed; --as-trained restores the conditions of the training");
+        }
         if self.view {
             window::fly(&config, policy.pilot(), policy.steps(), self.seed.wrapping_add(own.start))?;
         }

@@ -27,6 +27,8 @@ pub(crate) struct SceneImages {
 /// Image of an onboard camera.
 pub(crate) struct OnboardImage {
     pub drone: usize,
+    /// Kind of the image.
+    pub caption: String,
     pub texture: TextureHandle,
 }
 
@@ -263,10 +265,21 @@ impl SceneView {
                 let rgba = onboard_image(renderer, *kind, drone, SIZE)?;
                 let mut texture = before.next();
                 set(context, &mut texture, kind.name(), SIZE, &rgba);
-                images.onboard.extend(texture.map(|texture| OnboardImage { drone, texture }));
+                images.onboard.extend(texture.map(|texture| OnboardImage { drone, caption: caption(*kind), texture }));
             }
         }
         Ok(())
+    }
+}
+
+/// Distance that is black in an image of depth, m.
+const FAR: f32 = 5.0;
+
+/// Returns the caption of an onboard image.
+fn caption(kind: ImageKind) -> String {
+    match kind {
+        ImageKind::Depth => format!("depth, black from {FAR} m on"),
+        ImageKind::Rgb | ImageKind::Segmentation => kind.name().into(),
     }
 }
 
@@ -277,8 +290,6 @@ fn onboard_image(
     drone: usize,
     size: ImageSize,
 ) -> Result<Vec<u8>, ViewerError> {
-    /// Distance that is black in an image of depth, m.
-    const FAR: f32 = 5.0;
     Ok(match kind {
         ImageKind::Rgb => {
             let mut rgba = vec![0; 4 * size.pixels()];

@@ -236,11 +236,14 @@ fn wind(low: f64, high: f64) -> Option<EnvironmentRanges> {
 
 fn hover() -> Vec<Condition> {
     const WITHIN: f64 = 0.1;
+    // with latency and lag, no pilot recovers from a fall just above the floor
+    let in_flight = InitialRanges { offset: [0.0, 0.0, 0.6], ..InitialRanges::default() };
+    let randomized = Randomization { initial: Some(in_flight), ..Randomization::default() };
     vec![
         Condition::hover("nominal", WITHIN, starts()),
         Condition::hover("wind", WITHIN, Randomization { environment: wind(1.0, 1.0), ..starts() }),
         Condition::hover("noise", WITHIN, Randomization { sensors: Some(SensorRanges::default()), ..starts() }),
-        Condition::hover("randomized", WITHIN, Randomization::default()),
+        Condition::hover("randomized", 2.0 * WITHIN, randomized),
     ]
 }
 

@@ -56,7 +56,7 @@ impl Ui {
             self.act.read(frame.wind);
         }
         let is_moved = ui.add(slider(&mut self.act.speed, 0.0..=10.0, "m/s")).changed()
-            | ui.add(slider(&mut self.act.direction, -180.0..=180.0, "° to +x, 90 to +y")).changed()
+            | ui.add(slider(&mut self.act.direction, -180.0..=180.0, "° direction (0: +x, 90: +y)")).changed()
             | ui.add(slider(&mut self.act.upwards, -3.0..=3.0, "m/s upwards")).changed();
         if is_moved {
             let (sin, cos) = self.act.direction.to_radians().sin_cos();

@@ -83,7 +83,12 @@ impl Ui {
                 Key::V => self.shows.onboard[0] ^= true,
                 Key::D => self.shows.onboard[1] ^= true,
                 Key::M => self.shows.onboard[2] ^= true,
-                Key::B => self.shows.all_cameras ^= true,
+                Key::B => {
+                    self.shows.all_cameras ^= true;
+                    if self.shows.all_cameras && !self.shows.onboard.contains(&true) {
+                        self.shows.onboard[0] = true;
+                    }
+                }
                 Key::P => self.save_image = true,
                 Key::R => {
                     let kind = if modifiers.shift { RecordingKind::Mp4 } else { RecordingKind::Gif };
@@ -197,6 +202,10 @@ impl Ui {
         if let Some(shown) = flight.shown.take() {
             let step = flight.frames[shown].step;
             self.send(Command::Rewind { step });
+            // to look at the past has paused the flight
+            if flight.status.is_paced {
+                self.send(Command::Pause(false));
+            }
         }
     }
 }

@@ -11,7 +11,7 @@ mod view;
 use std::time::{Duration, Instant};
 
 use aviary::vision::{ImageSize, View};
-use egui::{Align2, Color32, FontId, Rect, pos2, vec2};
+use egui::{Align2, Color32, FontId, Pos2, Rect, pos2, vec2};
 
 use crate::command::Command;
 use crate::flight::Flight;
@@ -255,7 +255,7 @@ impl Ui {
                     let [r, g, b] = [0, 1, 2].map(|i| (255.0 * colour[i]) as u8);
                     let font = FontId::proportional(13.0);
                     let rgb = Color32::from_rgb(r, g, b);
-                    painter.text(at + vec2(10.0, -10.0), Align2::LEFT_BOTTOM, drone.to_string(), font, rgb);
+                    outlined(&painter, at + vec2(10.0, -10.0), Align2::LEFT_BOTTOM, &drone.to_string(), font, rgb);
                 }
             }
         }
@@ -269,17 +269,21 @@ impl Ui {
         let mut lines = vec![format!("{:.3} s   {}", frame.time, flight.episode.task)];
         let status = &flight.status;
         if flight.shown.is_some() {
-            lines.push("earlier state: continue from here with C".into());
-        } else if status.is_paused {
-            lines.push("paused".into());
-        } else if status.is_paced {
-            lines.push(format!("{:.2} × real time", status.measured_speed));
+            let hint = if status.is_interactive { ": continue from here with C" } else { "" };
+            lines.push(format!("earlier state{hint}"));
+        } else if frame.end.is_none() {
+            if status.is_paused {
+                lines.push("paused".into());
+            } else if status.is_paced {
+                lines.push(format!("{:.2} × real time", status.measured_speed));
+            }
         }
         if let Some(drone) = status.piloted {
             lines.push(format!("drone {drone} is flown by hand"));
         }
         if let Some(end) = frame.end {
-            lines.push(format!("episode over: {}", end.name()));
+            let hint = if status.is_interactive { "; Backspace restarts it, N starts the next seed" } else { "" };
+            lines.push(format!("episode over: {}{hint}", end.name()));
         }
         if self.is_recording {
             lines.push("recording".into());
@@ -289,19 +293,23 @@ impl Ui {
         let mut at = rect.left_top() + vec2(12.0, 10.0);
         for line in lines {
             let font = FontId::monospace(14.0);
-            painter.text(at + vec2(1.0, 1.0), Align2::LEFT_TOP, &line, font.clone(), Color32::BLACK);
-            painter.text(at, Align2::LEFT_TOP, &line, font, Color32::WHITE);
+            outlined(painter, at, Align2::LEFT_TOP, &line, font, Color32::WHITE);
             at.y += 18.0;
         }
         let hint = if self.panels { "H: keys" } else { "H: keys   Tab: panels" };
         let (font, corner) = (FontId::proportional(13.0), rect.left_bottom() + vec2(12.0, -8.0));
-        painter.text(corner + vec2(1.0, 1.0), Align2::LEFT_BOTTOM, hint, font.clone(), Color32::BLACK);
-        painter.text(corner, Align2::LEFT_BOTTOM, hint, font, Color32::WHITE);
+        outlined(painter, corner, Align2::LEFT_BOTTOM, hint, font, Color32::WHITE);
     }
 
     fn send(&mut self, command: Command) {
         self.wishes.push(Wish::Flight(command));
     }
+}
+
+/// Writes a text that can be read on every background.
+fn outlined(painter: &egui::Painter, at: Pos2, align: Align2, text: &str, font: FontId, colour: Color32) {
+    painter.text(at + vec2(1.0, 1.0), align, text, font.clone(), Color32::BLACK);
+    painter.text(at, align, text, font, colour);
 }
 
 /// Time for which a notice is shown.
@@ -324,13 +332,15 @@ fn show_onboard(painter: &egui::Painter, rect: Rect, images: &SceneImages, drone
             let place = Rect::from_min_size(rect.right_top() + offset, size);
             let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
             painter.image(image.texture.id(), place, whole, Color32::WHITE);
-            if drones > 1 {
+            let (at, font) = (place.left_top() + vec2(4.0, 2.0), FontId::proportional(13.0));
+            let (caption, rgb) = if drones > 1 {
                 let colour = aviary::record::plot::colour_of(image.drone, drones);
                 let [r, g, b] = [0, 1, 2].map(|i| (255.0 * colour[i]) as u8);
-                let (at, font) = (place.left_top() + vec2(4.0, 2.0), FontId::proportional(13.0));
-                painter.text(at + vec2(1.0, 1.0), Align2::LEFT_TOP, image.drone, font.clone(), Color32::BLACK);
-                painter.text(at, Align2::LEFT_TOP, image.drone, font, Color32::from_rgb(r, g, b));
-            }
+                (format!("{} {}", image.drone, image.caption), Color32::from_rgb(r, g, b))
+            } else {
+                (image.caption.clone(), Color32::WHITE)
+            };
+            outlined(painter, at, Align2::LEFT_TOP, &caption, font, rgb);
         }
     }
 }

@@ -8,7 +8,8 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
     let drone = drone.min(frame.drones.len() - 1);
     let of_drone = &frame.drones[drone];
     let state = &of_drone.state;
-    ui.strong(format!("Drone {drone} of {}", frame.drones.len()));
+    let last = frame.drones.len() - 1;
+    ui.strong(if last > 0 { format!("Drone {drone} of 0 to {last}") } else { format!("Drone {drone}") });
     let rows = |ui: &mut egui::Ui, rows: &[(&str, String)]| {
         for (name, value) in rows {
             ui.label(*name);
@@ -16,7 +17,9 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
             ui.end_row();
         }
     };
-    let three = |x: &[f64]| format!("{:8.3} {:8.3} {:8.3}", x[0], x[1], x[2]);
+    // without the sign of numbers that are rounded to zero
+    let rounded = |x: f64| (1e3 * x).round() / 1e3 + 0.0;
+    let three = |x: &[f64]| format!("{:8.3} {:8.3} {:8.3}", rounded(x[0]), rounded(x[1]), rounded(x[2]));
     let [w, i, j, k] = aviary::state::wxyz(&state.attitude);
     let degrees = of_drone.rpy.map(f64::to_degrees);
     let reference = of_drone.reference;
@@ -65,14 +68,24 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
                 ("pilot", if status.pilot.is_empty() { "–".into() } else { status.pilot.clone() }),
                 ("episode, seed", format!("{}, {seed}", flight.episode.number)),
                 ("control step", steps),
-                ("reward", format!("{:.4}", of_drone.reward)),
-                ("reward of the episode", format!("{:.2}", frame.episode_reward)),
-                ("success", if frame.success { "yes" } else { "no" }.into()),
-                ("end", end.into()),
             ],
         );
+        // a replay has no task
+        if flight.episode.max_steps.is_some() {
+            rows(
+                ui,
+                &[
+                    ("reward", format!("{:.4}", of_drone.reward)),
+                    ("reward of the episode", format!("{:.2}", frame.episode_reward)),
+                    ("success", if frame.success { "yes" } else { "no" }.into()),
+                    ("end", end.into()),
+                ],
+            );
+        }
         for (name, value) in &frame.metrics {
-            rows(ui, &[(&name.replace('_', " "), format!("{value:.4}"))]);
+            let is_count = value.fract() == 0.0 && value.abs() < 1e9;
+            let text = if is_count { format!("{value:.0}") } else { format!("{value:.4}") };
+            rows(ui, &[(&name.replace('_', " "), text)]);
         }
     });
     if !of_drone.reward_terms.is_empty() {

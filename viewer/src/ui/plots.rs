@@ -134,7 +134,8 @@ impl Plots {
             }
             2 => axes(&|frame, axis| Some(frame.state.velocity[axis])),
             3 => (0..4).map(|motor| of(&motor.to_string(), motor, &|frame| Some(frame.rotor_speeds[motor]))).collect(),
-            4 => vec![of("reward", 0, &|frame| Some(frame.reward))],
+            // the state before the first control step has no reward
+            4 => vec![of_frame("reward", 0, &|frame| (frame.step > 0).then(|| frame.drones[drone].reward))],
             TERMS => {
                 let names = terms(frames, drone).into_iter().enumerate();
                 let shown = names.filter(|(_, name)| !self.hidden_terms.contains(name));

@@ -11,7 +11,8 @@ impl Ui {
         ui.horizontal(|ui| {
             if status.is_paced {
                 let name = if status.is_paused { "Continue" } else { "Pause" };
-                if ui.button(name).on_hover_text("Space").clicked() {
+                let is_over = flight.frame().end.is_some() && flight.shown.is_none();
+                if ui.add_enabled(!is_over, egui::Button::new(name)).on_hover_text("Space").clicked() {
                     self.send(Command::Pause(!status.is_paused));
                 }
                 if ui.add_enabled(status.is_paused, egui::Button::new("Step")).on_hover_text(".").clicked() {
@@ -42,7 +43,7 @@ impl Ui {
         });
         let last = flight.frames.len() - 1;
         let mut at = flight.shown.unwrap_or(last);
-        ui.spacing_mut().slider_width = (ui.available_width() - 90.0).max(40.0);
+        ui.spacing_mut().slider_width = (ui.available_width() - 150.0).max(40.0);
         let times: Vec<f64> = flight.frames.first().into_iter().chain(flight.frames.last()).map(|f| f.time).collect();
         let time = flight.frame().time;
         ui.horizontal(|ui| {
