@@ -126,6 +126,8 @@ impl FlightCommand {
             }
             out.write("summary.json", format!("{file:#}\n").as_bytes())?;
             written.extend(aviary::record::files(out.path()));
+            let obstacles = out.path().join("obstacles.csv");
+            written.extend(obstacles.exists().then_some(obstacles));
             written.extend([SCENARIO, "summary.json"].map(|name| out.path().join(name)));
         }
         if let (Some(out), Some(samples), true) = (&out, &samples, self.plot) {

@@ -36,6 +36,11 @@ pub struct ConditionOptions {
 }
 
 impl ConditionOptions {
+    /// Returns true if no option is set.
+    pub fn is_default(&self) -> bool {
+        self.wind.is_none() && self.obstacles.is_none() && self.config.is_none()
+    }
+
     /// Reads wind, obstacles and randomization. `seed` is that of the obstacles, unless the file sets one.
     pub fn read(&self, seed: u64) -> Result<Conditions, Failure> {
         let mut conditions =

@@ -202,9 +202,9 @@ fn temporary_file(directory: &Path) -> std::io::Result<NamedTempFile> {
 
 /// Returns the error of the system in an error of a temporary file, whose name says nothing to the user.
 fn without_path(error: &std::io::Error) -> std::io::Error {
-    let inner = error.get_ref().and_then(|inner| inner.source());
-    let code = inner.and_then(|inner| inner.downcast_ref::<std::io::Error>()?.raw_os_error());
-    code.map_or_else(|| error.kind().into(), std::io::Error::from_raw_os_error)
+    let text = error.to_string();
+    let reason = text.split(" at path ").next().unwrap_or(&text).to_string();
+    std::io::Error::new(error.kind(), reason)
 }
 
 /// Buffered writer of an [`OutputFile`].

@@ -163,13 +163,24 @@ impl Play {
             output::print(&table(&config, &flown))?;
         }
         let succeeded = flown.iter().filter(|episode| episode.success).count();
-        if !self.as_trained && policy.info().training.is_some() && 2 * succeeded < flown.len() {
+        if !self.json && 2 * succeeded < flown.len() && self.could_fly_as_trained(&policy, &config) {
             tracing::warn!("most episodes failed; --as-trained restores the conditions of the training");
         }
         if self.view {
             window::fly(&config, policy.pilot(), policy.steps(), self.seed.wrapping_add(own.start))?;
         }
         Ok(())
+    }
+
+    /// Returns true if --as-trained is possible and changes the conditions.
+    fn could_fly_as_trained(&self, policy: &PolicyFile, config: &TrainConfig) -> bool {
+        let Self { as_trained, task, physics, conditions, .. } = self;
+        let Some(text) = policy.info().training.as_ref().filter(|_| !as_trained) else { return false };
+        let Ok(mut trained) = TrainConfig::of_task(&policy.info().task) else { return false };
+        let is_free = task.is_none() && physics.is_none() && conditions.is_default();
+        is_free
+            && trained.read_toml(text).is_ok()
+            && (&trained.conditions, trained.physics) != (&config.conditions, config.physics)
     }
 
     /// Returns the failure of a training configuration in the policy file.

@@ -81,10 +81,18 @@ impl Replay {
                 Failure::Work(anyhow!("{}: control step {step}: {error}", self.actions[0].display()))
             })?;
             if scenario.moving_obstacles > 0 {
-                let end = flight.simulation.time() + 0.5 * flight.simulation.control_period();
-                while let Some(moved) = moving.next_if(|moved| moved.time < end) {
+                let (time, half) = (flight.simulation.time(), 0.5 * flight.simulation.control_period());
+                let before = moving.len();
+                while let Some(moved) = moving.next_if(|moved| (moved.time - time).abs() < half) {
                     let body = &mut obstacles[moved.obstacle];
                     (body.position, body.rpy) = (moved.pose.position, moved.pose.rpy);
+                }
+                if moving.len() == before {
+                    return Err(Failure::input(anyhow!(
+                        "{}: obstacles.csv has no row at t = {} s, expected one of every control step",
+                        self.actions[0].display(),
+                        output::decimals(time, 4)
+                    )));
                 }
                 flight.simulation.move_obstacles(&obstacles).map_err(Failure::input)?;
             }

@@ -12,6 +12,15 @@ pub struct Running {
 }
 
 impl Running {
+    /// Limits the weight of the vectors so far to that of a number of vectors. Mean and deviation stay.
+    pub fn limit(&mut self, count: f64) {
+        if self.count > count {
+            let share = count / self.count;
+            self.squares.iter_mut().for_each(|sum| *sum *= share);
+            self.count = count;
+        }
+    }
+
     /// Returns the number of entries of a vector.
     pub fn size(&self) -> usize {
         self.mean.len()

@@ -77,6 +77,9 @@ impl std::fmt::Debug for Trainer {
     }
 }
 
+/// Number of rewards that count for the scale of a run that starts from another one.
+const REMEMBERED: f64 = 1e6;
+
 impl Trainer {
     /// Creates a run on the CPU. `command` is recorded in the policies' metadata.
     ///
@@ -127,17 +130,17 @@ impl Trainer {
     }
 
     /// Starts a run with the networks and the scales of another one, in place of random networks: to continue with other
-    /// conditions, rewards or settings. Observations, actions and layers are those of the other run. Optimizer, curve and
-    /// best policy start anew.
+    /// conditions, rewards or settings. Observations, actions and layers must be those of the other run. Optimizer, curve
+    /// and best policy are new, and the scale of the rewards adapts within some millions of steps.
     ///
     /// # Errors
-    /// [`TrainError::File`] for an invalid checkpoint, or one with other sizes. [`TrainError::Option`] for a run that has
-    /// begun.
+    /// [`TrainError::File`] for an invalid checkpoint, or one with other sizes or another action type.
+    /// [`TrainError::Option`] after the first iteration.
     pub fn start_from(&mut self, path: impl AsRef<Path>) -> Result<(), TrainError> {
         let path = path.as_ref();
         if self.iteration > 0 {
             let got = format!("iteration {}", self.iteration);
-            return Err(TrainError::Option { option: "start_from", got, expected: "a run that has not begun" });
+            return Err(TrainError::Option { option: "start_from", got, expected: "a run before its first iteration" });
         }
         let checkpoint = Checkpoint::load(path)?;
         let wrong = |message| {
@@ -150,6 +153,15 @@ impl Trainer {
             return Err(wrong(format!("its networks are {other}, expected {shape}")));
         }
         checkpoint.validate_networks(shape).map_err(wrong)?;
+        let meaning = |config: &TrainConfig| (config.action_type, config.per_drone);
+        if meaning(&checkpoint.state.config) != meaning(&self.config) {
+            let text = |config: &TrainConfig| format!("{} (per_drone = {})", config.action_type, config.per_drone);
+            let (got, expected) = (text(&checkpoint.state.config), text(&self.config));
+            return Err(wrong(format!("its actions are {got}, expected {expected}")));
+        }
+        // the scale follows the rewards of this run soon
+        let mut rewards = checkpoint.state.rewards.sums().clone();
+        rewards.limit(REMEMBERED);
         let zeros = vec![0.0; checkpoint.parameters.len()];
         self.learner.restore(LearnerState {
             parameters: checkpoint.parameters,
@@ -158,7 +170,7 @@ impl Trainer {
             second_moments: zeros,
             learning_rate: self.config.ppo.learning_rate,
             observations: checkpoint.state.observations,
-            rewards: checkpoint.state.rewards.sums().clone(),
+            rewards,
         })?;
         self.best = (policy_of(&self.config, &self.command, &*self.learner, 0)?, None);
         Ok(())

@@ -7,6 +7,7 @@ pub use firmware::{FirmwareOptions, firmware};
 
 use std::fmt::Write as _;
 
+use aviary::drone::{DroneModel, DroneParams};
 use aviary::policy::{Activation, PolicyInfo, PolicyNetwork, gates};
 
 use self::text::{array, comment, fill, number, wrapped};
@@ -76,11 +77,19 @@ pub fn default_name(info: &PolicyInfo) -> String {
 /// # Errors
 /// [`FormatError::Unsupported`] for a name that is not an identifier in lower snake case.
 pub fn source(policy: &PolicyNetwork, name: &str, weights: Weights) -> Result<CSource, FormatError> {
-    generate(policy, name, weights, false)
+    let drone = policy.info().drone.parse::<DroneModel>().ok().map(DroneModel::params);
+    generate(policy, name, weights, drone.as_ref(), false)
 }
 
 /// Generates the code of [`source`], with buffers that are static if `is_static` is true: for tasks with a small stack.
-fn generate(policy: &PolicyNetwork, name: &str, weights: Weights, is_static: bool) -> Result<CSource, FormatError> {
+/// The header describes the motors of `drone`.
+fn generate(
+    policy: &PolicyNetwork,
+    name: &str,
+    weights: Weights,
+    drone: Option<&DroneParams>,
+    is_static: bool,
+) -> Result<CSource, FormatError> {
     let is_name = name.starts_with(|c: char| c.is_ascii_lowercase())
         && name.len() <= 60
         && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
@@ -88,7 +97,7 @@ fn generate(policy: &PolicyNetwork, name: &str, weights: Weights, is_static: boo
         let expected = "lower snake case with at most 60 letters, digits and `_`, such as `hover_policy`";
         return Err(unsupported("the name", format_args!("`{name}`"), expected));
     }
-    let code = Code { policy, name, weights, is_static };
+    let code = Code { policy, name, weights, drone, is_static };
     let (source, constant_bytes) = code.source();
     Ok(CSource { name: name.into(), header: code.header(), source, constant_bytes })
 }
@@ -98,6 +107,7 @@ struct Code<'a> {
     policy: &'a PolicyNetwork,
     name: &'a str,
     weights: Weights,
+    drone: Option<&'a DroneParams>,
     /// True if the buffers are static.
     is_static: bool,
 }
@@ -133,7 +143,7 @@ impl Code<'_> {
         if info.num_drones > 1 {
             text += &wrapped(&format!("Observation and action are those of {of}."));
         }
-        let notes = layout::notes(info);
+        let notes = layout::notes(info, self.drone);
         if !notes.is_empty() {
             text += " *\n";
             notes.iter().for_each(|note| text += &wrapped(note));
@@ -167,8 +177,8 @@ impl Code<'_> {
         };
         let _ = write!(
             text,
-            "/*\n * Computes the action for an observation of finite numbers, with normalization and bounds.{memory}{threads}\n */\n\
-             {};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
+            "/*\n * Computes the action for an observation of finite numbers, with normalization and bounds.{memory}{threads}\n\
+             \x20*/\n{};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
             self.signature()
         );
         text

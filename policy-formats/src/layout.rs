@@ -1,7 +1,7 @@
 //! Names, units and frames of the entries of observations and actions.
 
 use aviary::action::ActionType;
-use aviary::drone::DroneModel;
+use aviary::drone::DroneParams;
 use aviary::policy::PolicyInfo;
 
 /// Entry of an observation or an action.
@@ -161,9 +161,10 @@ pub fn action(info: &PolicyInfo, size: usize) -> Vec<Entry> {
     entries.filter(|entries| entries.len() == size).unwrap_or_else(|| Entry::numbered("ENTRY", size))
 }
 
-/// Returns what the entries of a policy do not say: the frames, the target of hover, and the motors of a built-in
-/// airframe, one sentence or more per line. Tasks and airframes that this version does not define have no lines.
-pub fn notes(info: &PolicyInfo) -> Vec<String> {
+/// Returns what the entries of a policy do not say: the frames, the target of hover, and the motors of an airframe, one
+/// sentence or more per line. Tasks that this version does not define have no lines. A policy that was trained with
+/// sampled airframes has no motor speeds.
+pub fn notes(info: &PolicyInfo, drone: Option<&DroneParams>) -> Vec<String> {
     let mut notes = Vec::new();
     if of_task(&info.task).is_some() {
         let frames =
@@ -174,9 +175,8 @@ pub fn notes(info: &PolicyInfo) -> Vec<String> {
         notes.push("The drone hovers at (0, 0, 1) m: shift positions to hover elsewhere.".into());
     }
     let action_type = info.action_type.parse::<ActionType>().ok();
-    let drone = info.drone.parse::<DroneModel>().ok().map(DroneModel::params);
     if let (Some(drone), Some(ActionType::Rpm | ActionType::OneDRpm | ActionType::RawRpm | ActionType::Duty)) =
-        (&drone, action_type)
+        (drone, action_type)
     {
         let (positions, reactions) = (drone.motor_positions(), drone.allocation().row(3).clone_owned());
         notes.extend(positions.iter().enumerate().map(|(motor, position)| {
@@ -185,7 +185,8 @@ pub fn notes(info: &PolicyInfo) -> Vec<String> {
             let [x, y] = [position[0], position[1]].map(|metres| (1e5 * metres).round() / 100.0);
             format!("Motor {motor}: x = {x} mm, y = {y} mm, its propeller turns {turns} seen from above.")
         }));
-        if let Some(ActionType::Rpm | ActionType::OneDRpm) = action_type {
+        let is_sampled = info.training.as_ref().is_some_and(|training| training.contains("randomization.airframe"));
+        if let Some(ActionType::Rpm | ActionType::OneDRpm) = action_type.filter(|_| !is_sampled) {
             let (hover, max) = (drone.hover_rpm().round(), drone.max_rpm().round());
             notes.push(format!("Actions -1, 0 and 1 are 0, {hover} and {max} rpm, and linear between them."));
         }

@@ -137,8 +137,9 @@ impl Value<'_, '_> {
     /// Reads the track of a race: the name of a built-in one, a TOML file, or a dict with the keys of such a file.
     fn track(&self) -> PyResult<RaceTrack> {
         let in_option = |error| value_error(format_args!("{}: {error}", self.name));
-        if let Ok(name) = self.value.extract::<String>() {
-            return RaceTrack::find(&name).map_err(in_option);
+        // a name or a path-like object
+        if let Ok(name) = self.value.extract::<std::path::PathBuf>() {
+            return RaceTrack::find(&name.to_string_lossy()).map_err(in_option);
         }
         if self.value.cast::<PyDict>().is_err() {
             return Err(self.wrong("the name of a track, a TOML file, or a dict with the keys of such a file"));

@@ -336,8 +336,14 @@ impl<T: Task> AviaryBuilder<T> {
             let obstacles = generator.first_layout(simulation.starts())?;
             simulation = simulation.obstacles(obstacles);
         }
-        let solid = moving.iter().filter(|marker| marker.solid).map(|marker| marker.marker.body);
-        let simulation = simulation.moving_obstacles(solid).build()?;
+        let solid: Vec<_> = moving.iter().filter(|marker| marker.solid).collect();
+        // those that move in an episode are the last ones of the list
+        let standing = solid.iter().take_while(|marker| marker.stands_still).count();
+        let bodies = |markers: &[&crate::world::MovingMarker]| {
+            markers.iter().map(|marker| marker.marker.body).collect::<Vec<_>>()
+        };
+        let (standing, others) = (bodies(&solid[..standing]), bodies(&solid[standing..]));
+        let simulation = simulation.more_obstacles(standing).moving_obstacles(others).build()?;
         let moving = MovingMarkers::new(moving, simulation.world());
         check_starts(&simulation)?;
         let block = self.task.observation_space();

@@ -71,6 +71,11 @@ impl MovingMarkers {
             }
             if declared.solid {
                 let body = &mut self.obstacles[obstacle];
+                if declared.stands_still && !starts && (body.position, body.rpy) != (pose.position, pose.rpy) {
+                    let got = format!("another pose for the marker `{}`", declared.marker.name);
+                    let expected = "no change during the episode, because it stands still";
+                    return Err(EnvError::Option { option: "move_markers", got, expected });
+                }
                 (body.position, body.rpy) = (pose.position, pose.rpy);
                 obstacle += 1;
             } else {

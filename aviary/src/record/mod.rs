@@ -24,7 +24,7 @@ pub use files::files;
 pub use flight::{Flight, Sample};
 pub use frame_recorder::{FrameRecorder, Overlays};
 pub use log::CsvLog;
-pub use obstacles::{ObstaclePose, read_obstacle_poses};
+pub use obstacles::{ObstaclePose, poses as obstacle_poses, read_obstacle_poses, read_obstacle_poses_named};
 pub use recorded::Recorded;
 pub use recorder::Recorder;
 pub use replay::{read_actions, read_motor_speeds};

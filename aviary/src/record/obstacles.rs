@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::table::written;
 use super::{RecordError, flight};
 use crate::simulation::Simulation;
-use crate::world::{MarkerPose, Obstacle};
+use crate::world::{MarkerPose, Obstacle, World};
 
 /// Pose of a moving obstacle from a time on.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,14 +44,22 @@ pub(super) fn file_of(directory: &Path, prefix: &str) -> PathBuf {
     directory.join(format!("{prefix}obstacles.csv"))
 }
 
-/// Reads the poses of the moving obstacles of a flight from its directory, in the order of time. Obstacles have the
+/// Reads the poses of the moving obstacles of a flight from its directory, in the order of the file. Obstacles have the
 /// poses of the scenario until their first row.
 ///
 /// # Errors
-/// [`RecordError::Read`] with the file and the line for a file that does not exist or has another format, for times
-/// that decrease, and for numbers that are not finite.
+/// [`RecordError::Read`] with the file and the line for a file that does not exist or has another format, and for numbers
+/// out of range.
 pub fn read_obstacle_poses(directory: impl AsRef<Path>) -> Result<Vec<ObstaclePose>, RecordError> {
-    let path = file_of(directory.as_ref(), "");
+    read_obstacle_poses_named(directory, "")
+}
+
+/// Reads the file of a directory whose name starts with a prefix, as [`Recorded`](super::Recorded) writes it.
+///
+/// # Errors
+/// As for [`read_obstacle_poses`].
+pub fn read_obstacle_poses_named(directory: impl AsRef<Path>, prefix: &str) -> Result<Vec<ObstaclePose>, RecordError> {
+    let path = file_of(directory.as_ref(), prefix);
     let wrong = |line: usize, message: String| flight::wrong(&path, line, message);
     let bytes = std::fs::read(&path).map_err(|error| wrong(0, error.to_string()))?;
     let mut reader = csv::Reader::from_reader(&bytes[..]);
@@ -71,16 +79,26 @@ pub fn read_obstacle_poses(directory: impl AsRef<Path>) -> Result<Vec<ObstaclePo
         })?;
         let line = poses.len() + 2;
         let (position, rpy) = (Vector3::new(row.x, row.y, row.z), Vector3::new(row.roll, row.pitch, row.yaw));
-        if let Some(x) = position.iter().chain(&rpy).chain([&row.t]).find(|x| !x.is_finite()) {
-            return Err(wrong(line, format!("{x}, expected finite numbers")));
-        }
-        if let Some(before) = poses.last().filter(|before| before.time > row.t) {
-            let (time, before) = (crate::number(row.t), crate::number(before.time));
-            return Err(wrong(line, format!("t is {time}, expected {before} or later")));
+        let limits = [(position.as_slice(), World::MAX_COORDINATE), (rpy.as_slice(), World::MAX_ANGLE)];
+        for (numbers, max) in limits.into_iter().chain([(&[row.t][..], f64::MAX)]) {
+            if let Some(x) = numbers.iter().find(|x| !(-max..=max).contains(*x)) {
+                let x = crate::number(*x);
+                return Err(wrong(line, format!("{x}, expected finite numbers within ±{max:e}")));
+            }
         }
         poses.push(ObstaclePose { time: row.t, obstacle: row.obstacle, pose: MarkerPose { position, rpy } });
     }
     Ok(poses)
+}
+
+/// Returns the present poses of the moving obstacles of a simulation.
+pub fn poses(simulation: &Simulation) -> impl Iterator<Item = ObstaclePose> {
+    let first = simulation.obstacles().len() - simulation.moving_obstacles().len();
+    simulation.moving_obstacles().iter().enumerate().map(move |(index, body)| ObstaclePose {
+        time: simulation.time(),
+        obstacle: first + index,
+        pose: MarkerPose { position: body.position, rpy: body.rpy },
+    })
 }
 
 /// Writer of the file.
@@ -102,15 +120,16 @@ impl ObstacleLog {
         }
     }
 
-    /// Writes a row for every obstacle that has moved since the last call.
+    /// Writes a row for every obstacle that has moved since the last call, and for the last obstacle, so that every
+    /// control step has a row.
     pub fn record(&mut self, simulation: &Simulation) -> Result<(), RecordError> {
-        let first = simulation.obstacles().len() - simulation.moving_obstacles().len();
         let mut text = Vec::new();
-        for (index, (last, now)) in self.last.iter_mut().zip(simulation.moving_obstacles()).enumerate() {
-            if last != now {
+        let count = self.last.len();
+        let moved = self.last.iter_mut().zip(simulation.moving_obstacles()).zip(poses(simulation));
+        for (index, ((last, now), pose)) in moved.enumerate() {
+            if last != now || index + 1 == count {
                 *last = *now;
-                let pose = MarkerPose { position: now.position, rpy: now.rpy };
-                write(&mut text, &ObstaclePose { time: simulation.time(), obstacle: first + index, pose });
+                write(&mut text, &pose);
             }
         }
         self.append(&text)

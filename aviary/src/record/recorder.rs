@@ -111,6 +111,14 @@ impl Recorder {
         if simulation.num_drones() != self.files.len() {
             return Err(RecordError::Drones { got: simulation.num_drones(), expected: self.files.len() });
         }
+        // before the drones: a killed program leaves no state without the obstacles of its control step
+        match &mut self.obstacles {
+            (_, Some(log)) => log.record(simulation)?,
+            (path, log @ None) if !simulation.moving_obstacles().is_empty() => {
+                *log = Some(ObstacleLog::create(path.clone(), simulation)?);
+            }
+            (_, None) => {}
+        }
         let drones = self.files.iter_mut().zip(&mut self.last).zip(&mut self.rows);
         for (drone, (((path, file), last), row)) in drones.enumerate() {
             let (reward, reference) = of(drone);
@@ -118,13 +126,6 @@ impl Recorder {
             row.write(drone, &sample, simulation.rpy(drone).as_slice());
             file.append(&row.text).map_err(|error| RecordError::file(path, error))?;
             *last = Some(sample);
-        }
-        match &mut self.obstacles {
-            (_, Some(log)) => log.record(simulation)?,
-            (path, log @ None) if !simulation.moving_obstacles().is_empty() => {
-                *log = Some(ObstacleLog::create(path.clone(), simulation)?);
-            }
-            (_, None) => {}
         }
         Ok(())
     }

@@ -183,6 +183,12 @@ impl SimulationBuilder {
         self
     }
 
+    /// Adds obstacles after those already set.
+    pub(crate) fn more_obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
+        self.obstacles.extend(obstacles);
+        self
+    }
+
     /// Adds obstacles that [move](Simulation::move_obstacles) between control steps, after all others. A later call of
     /// [`obstacles`](Self::obstacles) keeps them.
     #[must_use]

@@ -240,17 +240,20 @@ pub struct MovingMarker {
     pub marker: Marker,
     /// True if drones collide with it.
     pub solid: bool,
+    /// True if it keeps its pose during an episode, and only has another one in the next episode. Records of flights
+    /// contain the poses of the other solid markers.
+    pub stands_still: bool,
 }
 
 impl MovingMarker {
     /// Creates a marker with which drones collide.
     pub fn solid(name: impl Into<String>, body: Obstacle) -> Self {
-        Self { marker: Marker { name: name.into(), body }, solid: true }
+        Self { marker: Marker { name: name.into(), body }, solid: true, stands_still: false }
     }
 
     /// Creates a marker without contacts.
     pub fn visible(name: impl Into<String>, body: Obstacle) -> Self {
-        Self { marker: Marker { name: name.into(), body }, solid: false }
+        Self { marker: Marker { name: name.into(), body }, solid: false, stands_still: false }
     }
 }
 

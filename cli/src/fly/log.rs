@@ -1,6 +1,6 @@
 //! Records of a flight: files, and samples in memory for plots.
 
-use aviary::record::{Flight as Samples, RecordError, Recorder, read_obstacle_poses};
+use aviary::record::{Flight as Samples, ObstaclePose, RecordError, Recorder, obstacle_poses};
 use aviary::simulation::Simulation;
 use nalgebra::Vector3;
 
@@ -13,13 +13,15 @@ use crate::pilot::Pilot;
 pub(super) struct Log {
     recorder: Option<Recorder>,
     pub(super) samples: Option<Samples>,
+    /// Poses of the moving obstacles after each control step, if there are samples.
+    poses: Vec<ObstaclePose>,
 }
 
 impl Log {
     /// Creates the files, if the flight has a directory.
     pub(super) fn begin(out: Option<&OutputDir>, drones: usize, has_samples: bool) -> Result<Self, Failure> {
         let recorder = out.map(|out| Recorder::create(out.path(), drones)).transpose().map_err(Failure::work)?;
-        Ok(Self { recorder, samples: has_samples.then(Samples::default) })
+        Ok(Self { recorder, samples: has_samples.then(Samples::default), poses: Vec::new() })
     }
 
     /// Replaces the records by those of a new episode.
@@ -36,10 +38,7 @@ impl Log {
         samples.rewind(simulation.time());
         // the old files end before the new ones replace them
         self.recorder = None;
-        let mut poses = match out.filter(|_| !simulation.moving_obstacles().is_empty()) {
-            Some(out) => read_obstacle_poses(out.path()).map_err(Failure::work)?,
-            None => Vec::new(),
-        };
+        let mut poses = std::mem::take(&mut self.poses);
         poses.retain(|pose| pose.time <= simulation.time());
         *self = Self::begin(out, samples.drones.len(), false)?;
         if let Some(recorder) = &mut self.recorder {
@@ -48,7 +47,7 @@ impl Log {
                 recorder.record_obstacle_poses(simulation, &poses).map_err(Failure::work)?;
             }
         }
-        self.samples = Some(samples);
+        (self.samples, self.poses) = (Some(samples), poses);
         Ok(())
     }
 
@@ -76,6 +75,9 @@ impl Log {
         let of = |drone| (pilot.reward(drone), Some(pilot.reference(drone)));
         if let Some(samples) = &mut self.samples {
             samples.note_with(simulation, of);
+            if simulation.control_steps() > 0 {
+                self.poses.extend(obstacle_poses(simulation));
+            }
         }
         match &mut self.recorder {
             Some(recorder) => recorder.record_with(simulation, of).map_err(|error: RecordError| Failure::work(error)),

@@ -107,7 +107,7 @@ pub fn firmware(policy: &PolicyNetwork, options: &FirmwareOptions<'_>) -> Result
         return Err(unsupported("the name", format_args!("`{}`", options.name), expected));
     }
     // the stack of the firmware's stabilizer task has less than 2 kB
-    let code = generate(policy, options.name, options.weights, true)?;
+    let code = generate(policy, options.name, options.weights, Some(options.drone), true)?;
     let app = App { policy, options, mapping: mapping(options.drone)?, scale };
     let name = options.name;
     let file = |path: String, content: String| TextFile { path, content };
@@ -164,7 +164,7 @@ impl App<'_> {
             ("command", comment(&info.command).replace('`', " ")),
             ("target", self.options.target.map(|x| x.to_string()).join(", ")),
             ("rate", info.ctrl_freq.to_string()),
-            ("drone", comment(&info.drone)),
+            ("drone", comment(&self.options.drone.name)),
             ("frames", of_item(self.frames())),
             ("thrust_max", format!("{:.3}", self.options.drone.max_thrust() / 4.0)),
             ("motors", motors.join("\n")),
@@ -205,7 +205,7 @@ impl App<'_> {
             ("NAME", prefix),
             ("stabilizer_rate", STABILIZER_RATE.to_string()),
             ("target", self.options.target.map(single).join(", ")),
-            ("drone", comment(&self.policy.info().drone)),
+            ("drone", comment(&drone.name)),
             ("thrust_coefficient", single(drone.thrust_coefficient)),
             ("thrust_max", single(drone.max_thrust() / 4.0)),
             ("speeds", speeds),

@@ -233,7 +233,7 @@ impl OnnxPolicy {
         let mut output = Vec::new();
         self.graph.evaluate(1, &vec![0.0; entries], &mut memory, &mut output)?;
         if output.len() != acted {
-            return Err(mismatch(format!("{} outputs ({})", output.len(), self.graph.names_of_outputs())));
+            return Err(mismatch(format!("{} outputs (`{}`)", output.len(), self.graph.name(self.graph.output))));
         }
         Ok(())
     }
@@ -412,14 +412,6 @@ impl Graph {
 
     fn name(&self, id: NodeId) -> String {
         self.model.node_info(id).and_then(|info| info.name()).unwrap_or_default().to_string()
-    }
-
-    /// Returns the name of the action's output, and of the others.
-    fn names_of_outputs(&self) -> String {
-        let others: Vec<_> = self.model.output_ids().iter().filter(|&&id| id != self.output).collect();
-        let others = others.into_iter().map(|&id| format!("`{}`", self.name(id))).collect::<Vec<_>>().join(", ");
-        let also = if others.is_empty() { String::new() } else { format!(", others: {others}") };
-        format!("`{}`{also}", self.name(self.output))
     }
 
     /// Evaluates rows; `memory` has the memories of a row next to each other.

@@ -111,7 +111,9 @@ impl Ui {
         let status = &flight.status;
         if status.is_paced {
             match key {
-                Key::Space => self.send(Command::Pause(!status.is_paused)),
+                // after the end of an episode there is nothing to pause
+                Key::Space if flight.frame().end.is_some() && flight.shown.is_none() => {}
+                Key::Space => self.pause(!status.is_paused),
                 Key::Period => self.send(Command::Step),
                 Key::Plus | Key::Equals => self.send(Command::Speed((2.0 * status.speed).min(64.0))),
                 Key::Minus => self.send(Command::Speed((0.5 * status.speed).max(1.0 / 64.0))),
@@ -165,6 +167,12 @@ impl Ui {
         context.request_repaint_after(std::time::Duration::from_millis(20));
     }
 
+    /// Pauses or continues the flight as the person wants.
+    pub(super) fn pause(&mut self, pause: bool) {
+        self.is_paused_to_look = false;
+        self.send(Command::Pause(pause));
+    }
+
     fn toggle_following(&mut self) {
         let drone = self.camera_drone();
         self.followed = if self.followed == Some(drone) { None } else { Some(drone) };
@@ -193,6 +201,7 @@ impl Ui {
         let last = flight.frames.len() - 1;
         flight.shown = (index < last).then_some(index);
         if flight.status.is_paced && !flight.status.is_paused {
+            self.is_paused_to_look = true;
             self.send(Command::Pause(true));
         }
     }
@@ -202,8 +211,7 @@ impl Ui {
         if let Some(shown) = flight.shown.take() {
             let step = flight.frames[shown].step;
             self.send(Command::Rewind { step });
-            // to look at the past has paused the flight
-            if flight.status.is_paced {
+            if std::mem::take(&mut self.is_paused_to_look) {
                 self.send(Command::Pause(false));
             }
         }

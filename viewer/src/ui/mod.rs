@@ -87,6 +87,8 @@ pub(crate) struct Ui {
     pub is_recording: bool,
     pub images_per_second: f64,
     pub is_pretty: bool,
+    /// True if the flight is paused because an earlier state is shown.
+    pub is_paused_to_look: bool,
     panels: bool,
     tab: Tab,
     help: bool,
@@ -115,6 +117,7 @@ impl Ui {
             is_recording: false,
             images_per_second: 0.0,
             is_pretty: options.is_pretty.unwrap_or(false),
+            is_paused_to_look: false,
             panels: options.panels,
             tab: Tab::Numbers,
             help: false,

@@ -83,7 +83,7 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
             );
         }
         for (name, value) in &frame.metrics {
-            let is_count = value.fract() == 0.0 && value.abs() < 1e9;
+            let is_count = matches!(*name, "gates_passed" | "waypoints_captured");
             let text = if is_count { format!("{value:.0}") } else { format!("{value:.4}") };
             rows(ui, &[(&name.replace('_', " "), text)]);
         }

@@ -13,7 +13,7 @@ impl Ui {
                 let name = if status.is_paused { "Continue" } else { "Pause" };
                 let is_over = flight.frame().end.is_some() && flight.shown.is_none();
                 if ui.add_enabled(!is_over, egui::Button::new(name)).on_hover_text("Space").clicked() {
-                    self.send(Command::Pause(!status.is_paused));
+                    self.pause(!status.is_paused);
                 }
                 if ui.add_enabled(status.is_paused, egui::Button::new("Step")).on_hover_text(".").clicked() {
                     self.send(Command::Step);

@@ -272,7 +272,9 @@ impl Task for Race {
 
     fn moving_markers(&self) -> Vec<MovingMarker> {
         let markers = self.moves_markers().then(|| self.frames());
-        markers.into_iter().flatten().map(|marker| MovingMarker { marker, solid: self.solid }).collect()
+        let stands_still = self.motion.amplitude == 0.0;
+        let moving = |marker| MovingMarker { marker, solid: self.solid, stands_still };
+        markers.into_iter().flatten().map(moving).collect()
     }
 
     fn move_markers(&self, _simulation: SimView<'_>, poses: &mut [MarkerPose]) {
