@@ -15,9 +15,11 @@ use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
 use mujoco_drones_gym::record::plot::Plot;
-use mujoco_drones_gym::record::{COLUMNS, Flight, FrameRecorder, Overlays, Recorded, Recorder, files};
+use mujoco_drones_gym::record::{
+    COLUMNS, Flight, FrameRecorder, Overlays, Recorded, Recorder, files, read_obstacle_poses,
+};
 use mujoco_drones_gym::state::wxyz;
-use mujoco_drones_gym::tasks::Antipodal;
+use mujoco_drones_gym::tasks::{Antipodal, GateMotion};
 use mujoco_drones_gym::vision::{SceneRenderer, VisualEffects};
 use proptest::prelude::*;
 
@@ -48,6 +50,45 @@ fn fly(env: &mut dyn DroneEnv, to: &Path, steps: usize) -> Vec<Vec<(DroneState, 
         }
     }
     rows
+}
+
+/// A flight that goes on from an earlier state continues the log of the obstacles as that of the drone.
+#[test]
+fn a_log_with_moving_obstacles_is_continued_from_an_earlier_state() {
+    let directory = tempfile::tempdir().unwrap();
+    let motion = GateMotion { amplitude: 0.2, period: 1.0 };
+    let builder = Race::builder().initial_positions([[0.0, -0.9, 1.0]]);
+    let mut env = builder.task(|race| (race.solid, race.motion) = (true, motion)).build().unwrap();
+    env.reset(Some(3)).unwrap();
+    let (whole, parts) = (directory.path().join("whole"), directory.path().join("parts"));
+    let mut recorder = Recorder::create(&whole, 1).unwrap();
+    let (mut flight, mut poses, mut snapshot) = (Flight::default(), Vec::new(), None);
+    let first = env.simulation().obstacles().len() - env.simulation().moving_obstacles().len();
+    assert_eq!((first, env.simulation().moving_obstacles().len()), (0, 24));
+    for step in 0..20 {
+        recorder.record(&env).unwrap();
+        if step <= 8 {
+            flight.note(&env);
+            snapshot = Some(env.snapshot().unwrap());
+        }
+        env.step(&action(step, 4)).unwrap();
+    }
+    drop(recorder);
+    let rows = read_obstacle_poses(&whole).unwrap();
+    assert_eq!(rows.len(), 24 * 19);
+    env.restore(&snapshot.unwrap()).unwrap();
+    poses.extend(rows.iter().filter(|pose| pose.time <= env.simulation().time()));
+    let mut recorder = Recorder::create(&parts, 1).unwrap();
+    recorder.record_flight(&flight).unwrap();
+    recorder.record_obstacle_poses(env.simulation(), &poses).unwrap();
+    for step in 8..19 {
+        env.step(&action(step, 4)).unwrap();
+        recorder.record(&env).unwrap();
+    }
+    drop(recorder);
+    for name in ["drone0.csv", "obstacles.csv"] {
+        assert_eq!(std::fs::read(parts.join(name)).unwrap(), std::fs::read(whole.join(name)).unwrap(), "{name}");
+    }
 }
 
 #[test]

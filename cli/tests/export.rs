@@ -109,6 +109,7 @@ fn wrong_exports_are_errors_that_name_the_option() {
         2,
         &["--weights int8", "--format onnx", "expected c, crazyflie or safetensors"],
     );
+    export("onnx", &[], 2, &["--out is", "a name that ends in .onnx"]);
     export("onnx", &["--name", "a"], 2, &["--name", "expected c or crazyflie"]);
     export("c", &["--drone", "cf2x"], 2, &["--drone", "expected crazyflie"]);
     export("c", &["--name", "My Policy"], 2, &["--name is `My Policy`", "snake case"]);

@@ -52,6 +52,35 @@ fn training_writes_a_policy_a_learning_curve_and_a_breakdown_of_the_time() {
 }
 
 #[test]
+fn a_run_starts_with_the_networks_of_another_run() {
+    let (first, second) = (directory("stage_first"), directory("stage_second"));
+    run(&[&["train", "--task", "hover", "--out", text(&first)][..], &SMALL].concat());
+    let harder = config_file("harder", "[ppo]\ngamma = 0.98\n[wind]\nmodel = \"gust\"\n");
+    let start = ["train", "--task", "hover", "--start-from", text(&first), "--config", text(&harder)];
+    let trained = json(&[&start[..], &["--out", text(&second)], &SMALL].concat());
+    assert_eq!(trained["steps"], 12_288);
+    let head = std::fs::read(second.join("policy.safetensors")).unwrap();
+    let command = "aviary train --task hover --start-from stage_first --config harder.toml --seed 3";
+    assert!(String::from_utf8_lossy(&head).contains(command));
+    assert_ne!(head, std::fs::read(first.join("policy.safetensors")).unwrap());
+    // the first run is complete, and its files stay
+    let third = directory("stage_third");
+    let wide = config_file("wide", "[ppo]\nhidden = [16]\n");
+    let refusals: [(&[&str], &str); 3] = [
+        (&["--config", text(&wide)], "its networks are"),
+        (&["--envs", "0"], "environments is 0"),
+        (&["--start-from", "nowhere"], "cannot be used multiple times"),
+    ];
+    for (more, wanted) in refusals {
+        let start = ["train", "--task", "hover", "--start-from", text(&first), "--out", text(&third)];
+        refused(&[&start[..], more].concat(), 2, &[wanted]);
+        assert!(!third.exists());
+    }
+    let none = ["train", "--task", "hover", "--start-from", "nowhere", "--out", text(&third)];
+    refused(&none, 2, &["nowhere/checkpoint.safetensors"]);
+}
+
+#[test]
 fn a_killed_and_resumed_run_is_bit_identical_to_an_uninterrupted_run() {
     let config = config_file("killed_config", "checkpoint_every = 2\nevaluate_every = 3\nepisodes = 2\n");
     let run = |steps: u64, out: &Path| {

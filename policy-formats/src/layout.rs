@@ -208,6 +208,32 @@ mod tests {
         PolicyInfo { num_drones, action_type: action_type.to_string(), ..PolicyInfo::of_task(task) }
     }
 
+    /// M1 at the front right of a Crazyflie, and M3 diagonally opposite, turn counterclockwise. Those of the airframes
+    /// with the paper's yaw convention turn against them.
+    #[test]
+    fn notes_have_the_motors_of_the_airframe() {
+        let info = info("hover", ActionType::Rpm, 1);
+        for (model, front_right) in [(DroneModel::Cf21, "counterclockwise"), (DroneModel::Cf2x, "clockwise")] {
+            let drone = model.params();
+            let notes = notes(&info, Some(&drone));
+            let at = |x: &str, y: &str| {
+                notes
+                    .iter()
+                    .find(|note| note.contains(&format!("x = {x}")) && note.contains(&format!("y = {y}")))
+                    .unwrap()
+            };
+            let side = format!("{}", (1e5 * drone.motor_positions()[0][0].abs()).round() / 100.0);
+            let motor = at(&side, &format!("-{side}"));
+            assert!(motor.contains(&format!("turns {front_right} seen")), "{model}: {notes:?}");
+            assert_ne!(motor.contains("counterclockwise"), at(&side, &side).contains("counterclockwise"));
+            let hover = drone.hover_rpm().round();
+            assert!(notes.last().unwrap().contains(&format!("are 0, {hover} and")), "{notes:?}");
+        }
+        assert_eq!(notes(&info, None).len(), 2);
+        let sampled = PolicyInfo { training: Some("[randomization.airframe]".into()), ..info };
+        assert!(!notes(&sampled, Some(&DroneModel::Cf2x.params())).iter().any(|note| note.contains("rpm")));
+    }
+
     /// The list of entries follows the environments: a task or action type without names fails here.
     #[test]
     fn every_entry_of_every_task_and_action_type_has_a_name() {

@@ -62,6 +62,36 @@ fn a_report_names_the_policy_by_its_hash() {
     assert_ne!(&empty, sha256);
 }
 
+/// A policy whose actions are not numbers.
+struct Broken;
+
+impl Policy for Broken {
+    fn reset(&mut self, _: &dyn aviary::env::DroneEnv) -> Result<(), aviary::rollout::RolloutError> {
+        Ok(())
+    }
+
+    fn act(&mut self, _: &dyn aviary::env::DroneEnv, action: &mut [f64]) -> Result<(), aviary::rollout::RolloutError> {
+        action.fill(f64::NAN);
+        Ok(())
+    }
+}
+
+#[test]
+fn faults_are_counted_and_options_are_in_the_report() {
+    let options = BTreeMap::from([("action_range", "unit".to_string())]);
+    let info = PolicyInfo::of_task("hover");
+    let pilot = Pilot::other("broken.onnx", b"broken", info, None, options, || Box::new(Broken));
+    let report = run(&pilot, &[Suite::Hover], 3, one(), false, &mut |_| {}).unwrap();
+    for condition in &report.suites[0].conditions {
+        assert_eq!((condition.faults, condition.succeeded), (3, 0), "{}", condition.condition);
+    }
+    let json = serde_json::to_value(&report).unwrap();
+    assert_eq!(json["pilot"]["policy"]["options"]["action_range"], "unit");
+    let sound = run(&policy("hover"), &[Suite::Hover], 1, one(), false, &mut |_| {}).unwrap();
+    assert_eq!(sound.suites[0].conditions[0].faults, 0);
+    assert!(serde_json::to_value(&sound).unwrap()["pilot"]["policy"].get("options").is_none());
+}
+
 #[test]
 fn a_policy_that_does_not_fit_is_an_error_or_skipped() {
     let (race, all) = (policy("race"), Suite::ALL);
