@@ -69,7 +69,7 @@ fn a_log_with_moving_obstacles_is_continued_from_an_earlier_state() {
         recorder.record(&env).unwrap();
         if step <= 8 {
             flight.note(&env);
-            snapshot = Some(env.snapshot().unwrap());
+            snapshot = Some(env.snapshot());
         }
         env.step(&action(step, 4)).unwrap();
     }

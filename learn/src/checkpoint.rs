@@ -64,7 +64,7 @@ fn validate_numbers(name: &str, numbers: &[f32], expected: usize) -> Result<(), 
 }
 
 impl Checkpoint {
-    /// Returns the shape of the networks: that of the configuration, with the numbers of observations in the state and of
+    /// Returns the shape of the networks: that of the configuration, with the number of observations in the state and
     /// `action` actions.
     pub fn shape(&self, action: usize) -> NetworkShape {
         let PpoConfig { hidden, activation, recurrent, .. } = &self.state.config.ppo;

@@ -129,9 +129,9 @@ impl Trainer {
         Ok(Self { config, command, learner, arena, iteration, first, fresh, curve, best, stop, began, evaluation })
     }
 
-    /// Starts a run with the networks and the scales of another one, in place of random networks: to continue with other
-    /// conditions, rewards or settings. Observations, actions and layers must be those of the other run. Optimizer, curve
-    /// and best policy are new, and the scale of the rewards adapts within some millions of steps.
+    /// Starts a run with the networks and the scales of another one, in place of random networks: to continue with
+    /// other conditions, rewards or settings. Observations, actions and layers must be those of the other run.
+    /// Optimizer, curve and best policy are new, and the scale of the rewards adapts within some millions of steps.
     ///
     /// # Errors
     /// [`TrainError::File`] for an invalid checkpoint, or one with other sizes or another action type.

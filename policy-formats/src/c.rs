@@ -177,8 +177,8 @@ impl Code<'_> {
         };
         let _ = write!(
             text,
-            "/*\n * Computes the action for an observation of finite numbers, with normalization and bounds.{memory}{threads}\n\
-             \x20*/\n{};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
+            "/*\n * Computes the action for an observation of finite numbers, with normalization and bounds.{memory}\
+             {threads}\n */\n{};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
             self.signature()
         );
         text

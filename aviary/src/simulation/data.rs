@@ -428,8 +428,8 @@ impl SimData {
         Ok(())
     }
 
-    /// Places obstacles at the start of an episode. How far they move after the first control step is unknown: if a drone
-    /// touches one in the second step, MuJoCo's solver may start without an earlier solution.
+    /// Places obstacles at the start of an episode. How far they move after the first control step is unknown: if a
+    /// drone touches one in the second step, MuJoCo's solver may start without an earlier solution.
     ///
     /// # Errors
     /// As for [`set_obstacles`](Self::set_obstacles); the data is unchanged.
