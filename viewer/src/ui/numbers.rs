@@ -18,9 +18,12 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
         }
     };
     // without the sign of numbers that are rounded to zero
-    let rounded = |x: f64| (1e3 * x).round() / 1e3 + 0.0;
-    let three = |x: &[f64]| format!("{:8.3} {:8.3} {:8.3}", rounded(x[0]), rounded(x[1]), rounded(x[2]));
-    let [w, i, j, k] = aviary::state::wxyz(&state.attitude);
+    let rounded = |x: f64, one: f64| (one * x).round() / one + 0.0;
+    let three = |x: &[f64]| {
+        let [a, b, c] = [0, 1, 2].map(|index| rounded(x[index], 1e3));
+        format!("{a:8.3} {b:8.3} {c:8.3}")
+    };
+    let [w, i, j, k] = aviary::state::wxyz(&state.attitude).map(|x| rounded(x, 1e3));
     let degrees = of_drone.rpy.map(f64::to_degrees);
     let reference = of_drone.reference;
     let error = reference.map(|reference| (state.position - reference).norm());
@@ -75,7 +78,7 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
             rows(
                 ui,
                 &[
-                    ("reward", format!("{:.4}", of_drone.reward)),
+                    ("reward", format!("{:.4}", rounded(of_drone.reward, 1e4))),
                     ("reward of the episode", format!("{:.2}", frame.episode_reward)),
                     ("success", if frame.success { "yes" } else { "no" }.into()),
                     ("end", end.into()),
@@ -83,7 +86,7 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
             );
         }
         for (name, value) in &frame.metrics {
-            let is_count = matches!(*name, "gates_passed" | "waypoints_captured");
+            let is_count = matches!(*name, "gates_passed" | "waypoints_captured" | "crashed" | "contacts");
             let text = if is_count { format!("{value:.0}") } else { format!("{value:.4}") };
             rows(ui, &[(&name.replace('_', " "), text)]);
         }
