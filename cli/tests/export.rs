@@ -143,7 +143,7 @@ fn wrong_onnx_files_and_options_are_errors_of_one_line() {
         &["--observation-indices", "0-3"],
         &["hover.onnx", "observation_indices is 4 numbers", "expected 12 numbers"],
     );
-    play(&onnx, &["--observation-indices", "3-0"], &["--observation-indices has `3-0`"]);
+    play(&onnx, &["--observation-indices", "3-0"], &["--observation-indices is `3-0`, expected numbers"]);
     play(&onnx, &["--observation-indices", "1-12"], &["the observation index 12", "12 observations"]);
     play(&onnx, &["--action-range", "tanh"], &["--action-range is `tanh`, expected space or unit"]);
     play(&onnx, &["--action-output", "mean"], &["action_output is `mean`, expected action"]);

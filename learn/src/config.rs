@@ -177,12 +177,20 @@ pub struct TrainingStart {
     pub offset: [f64; 3],
     /// Maximum length of these episodes, s; `None` for the task's default.
     pub seconds: Option<f64>,
+    /// True if the other groups of the randomization apply as well; false for nominal parameters and perfect sensors.
+    #[serde(skip_serializing_if = "is_true")]
+    pub randomized: bool,
+}
+
+/// Returns true for true.
+fn is_true(value: &bool) -> bool {
+    *value
 }
 
 impl Default for TrainingStart {
     fn default() -> Self {
         let InitialRanges { position, attitude, velocity, offset } = InitialRanges::default();
-        Self { position, attitude, velocity, offset, seconds: None }
+        Self { position, attitude, velocity, offset, seconds: None, randomized: true }
     }
 }
 
@@ -511,18 +519,23 @@ impl TrainConfig {
         self.course.and_then(|rewards| course_of(&self.task, rewards))
     }
 
+    /// Returns the randomizations of the training episodes, assigned to the environments cyclically; empty if they are
+    /// those of the evaluations.
+    fn randomizations_of_training(&self) -> Vec<Randomization> {
+        let of = |start: &TrainingStart| {
+            let all = self.conditions.randomization.clone().filter(|_| start.randomized);
+            Randomization { initial: Some(start.ranges()), ..all.unwrap_or(Randomization::NONE) }
+        };
+        self.training_starts.iter().map(of).collect()
+    }
+
     /// Creates the agents that collect experience.
     ///
     /// # Errors
     /// Errors of the creation of the environments.
     pub fn agents(&self) -> Result<Box<dyn Agents>, TrainError> {
         let options = self.options()?;
-        let starts: Vec<Randomization> = (self.training_starts.iter())
-            .map(|start| {
-                let others = self.conditions.randomization.clone().unwrap_or(Randomization::NONE);
-                Randomization { initial: Some(start.ranges()), ..others }
-            })
-            .collect();
+        let starts = self.randomizations_of_training();
         let options = match starts.first() {
             Some(first) => options.randomization(first.clone()),
             None => options,
@@ -591,5 +604,29 @@ fn course_of(name: &str, rewards: CourseRewards) -> Option<Course> {
             Some(Course::Race(race))
         }
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn training_episodes_have_their_own_starts_and_may_be_nominal() {
+        let mut config = TrainConfig::of_task("hover").unwrap();
+        let text =
+            "training_starts = [{ position = 0.5 }, { position = 0.7, randomized = false }]\n[randomization.body]\n";
+        config.read_toml(text).unwrap();
+        let [sampled, nominal] = &config.randomizations_of_training()[..] else { panic!("{config:?}") };
+        assert!(sampled.body.is_some() && sampled.initial.unwrap().position == 0.5);
+        let initial = InitialRanges { position: 0.7, ..InitialRanges::default() };
+        assert_eq!(*nominal, Randomization { initial: Some(initial), ..Randomization::NONE });
+        let written = config.to_toml().unwrap();
+        assert_eq!(written.matches("randomized").count(), 1, "{written}");
+        let mut again = TrainConfig::of_task("hover").unwrap();
+        again.read_toml(&written).unwrap();
+        assert_eq!(again, config);
+        config.training_starts.clear();
+        assert!(config.randomizations_of_training().is_empty());
     }
 }

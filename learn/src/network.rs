@@ -32,8 +32,9 @@ pub struct NetworkShape {
 
 impl fmt::Display for NetworkShape {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:?} with {:?}", self.actor, self.activation)?;
-        if self.recurrent == 0 { Ok(()) } else { write!(f, " and {} recurrent units", self.recurrent) }
+        let sizes: Vec<_> = self.actor.iter().map(ToString::to_string).collect();
+        write!(f, "{} ({:?}", sizes.join("-"), self.activation)?;
+        if self.recurrent == 0 { f.write_str(")") } else { write!(f, ", {} recurrent units)", self.recurrent) }
     }
 }
 

@@ -105,10 +105,16 @@ fn a_run_starts_with_the_networks_of_another() {
         let mut wide = config(1.0);
         wide.ppo.hidden = vec![32];
         let error = refused(wide);
-        assert!(error.contains("its networks are [") && error.contains(", expected ["), "{error}");
+        assert!(
+            error.contains("its networks are ") && error.contains("-16-16-4 (Relu") && error.contains(", expected "),
+            "{error}"
+        );
         let mut actions = config(1.0);
         actions.action_type = aviary::action::ActionType::OneDRpm;
         assert!(refused(actions).contains("`parameters` has"));
+        let mut other = config(1.0);
+        other.action_type = aviary::action::ActionType::Vel;
+        assert!(refused(other).contains("its actions are rpm (per_drone = false), expected vel"));
     }
 }
 

@@ -337,7 +337,7 @@ fn files_that_do_not_fit_are_errors_of_one_line() {
         format!("{policy}; {env}")
     };
     let other = read(of_another_trainer(&all, None, &[])).unwrap();
-    assert_eq!(refused(other, "race"), "12 inputs; 21 observations and 4 actions (rpm)");
+    assert_eq!(refused(other, "race"), "12 inputs (`obs`); 21 observations and 4 actions (rpm)");
     let far = OnnxOptions { observation_indices: Some((1..13).collect()), ..OnnxOptions::default() };
     let far = OnnxPolicy::from_bytes(of_another_trainer(&all, None, &[]), &far).unwrap();
     assert_eq!(refused(far, "hover"), "the observation index 12; 12 observations and 4 actions (rpm)");
@@ -349,7 +349,7 @@ fn files_that_do_not_fit_are_errors_of_one_line() {
     assert_eq!(refused(velocities, "hover"), "actions vel; actions rpm");
     let value = OnnxOptions { action_output: Some("value".into()), ..OnnxOptions::default() };
     let value = OnnxPolicy::from_bytes(of_another_trainer(&all, None, &[]), &value).unwrap();
-    assert_eq!(refused(value, "hover"), "1 outputs; 12 observations and 4 actions (rpm)");
+    assert_eq!(refused(value, "hover"), "1 outputs (`value`); 12 observations and 4 actions (rpm)");
 }
 
 fn small() -> PolicyNetwork {

@@ -448,6 +448,9 @@ impl GpuPpo {
         if config.ppo.recurrent > 0 {
             return Err(not_ported("recurrent", &config.ppo.recurrent.to_string(), "0"));
         }
+        if config.training_starts.iter().any(|start| !start.randomized) {
+            return Err(not_ported("training_starts", "randomized = false", "true"));
+        }
         let (options, ranges) = environment_of(config)?;
         let rows = config.ppo.environments;
         let batch = VecConfig { autoreset: Autoreset::SameStep, on_fault: OnFault::Truncate, ..VecConfig::new(rows) };
