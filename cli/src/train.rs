@@ -74,8 +74,8 @@ pub struct Train {
     track: Option<NameOrFile<&'static str>>,
     /// Directory of an earlier run whose networks this run starts with
     ///
-    /// The networks of its last checkpoint replace random ones, for example to continue with other
-    /// conditions, rewards or settings. Observations, actions and layers must be the same.
+    /// The networks of its last checkpoint replace random ones, for example to continue with
+    /// other conditions, rewards or settings. Observations, actions and layers must be the same.
     /// Optimizer and curve are new. --resume continues a run unchanged.
     #[arg(
         long,
