@@ -7,11 +7,13 @@ use aviary::SystemError;
 use aviary::env::DroneEnv;
 use aviary::policy::{PolicyError, PolicyInfo};
 use aviary::rollout::{Policy, PolicySnapshot, RolloutError};
+use prost::Message as _;
 use rten::{Dimension, Model, ModelOptions, NodeId, ValueOrView, ValueView};
 
 use rten_tensor::prelude::AsView as _;
 
 use super::METADATA_KEY;
+use super::model::ModelProto;
 use crate::{FormatError, unsupported};
 
 /// Range of the outputs of a graph.
@@ -138,6 +140,8 @@ impl OnnxPolicy {
     /// [`FormatError::Onnx`] for bytes that are not an ONNX file, operators that the runtime does not have, and inputs or
     /// outputs of another kind. [`FormatError::Unsupported`] for invalid options or metadata.
     pub fn from_bytes(bytes: Vec<u8>, options: &OnnxOptions) -> Result<Self, FormatError> {
+        // the runtime does not end at numbers of more than ten bytes
+        ModelProto::decode(&bytes[..]).map_err(wrong)?;
         let model = ModelOptions::with_all_ops().load(bytes).map_err(wrong)?;
         let of_file = |key: &str| model.metadata().get(key).map(str::to_string);
         let info = match of_file(METADATA_KEY) {
@@ -559,6 +563,23 @@ impl Policy for OnnxPilot {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Numbers of ten bytes that do not end, in every message: the runtime alone reads them for ever.
+    #[test]
+    fn numbers_that_do_not_end_are_errors() {
+        fn tagged(tag: u8, content: &[u8]) -> Vec<u8> {
+            [&[tag, content.len() as u8], content].concat()
+        }
+        // a field that no message has
+        let endless = [&[0x78][..], &[0xff; 24]].concat();
+        // graph: initializer, node with an attribute with a tensor, input, value_info
+        let nested: [&[u8]; 6] = [&[], &[0x3a], &[0x2a, 0x3a], &[0x2a, 0x2a, 0x0a, 0x3a], &[0x5a, 0x3a], &[0x6a, 0x3a]];
+        for tags in nested {
+            let bytes = tags.iter().fold(endless.clone(), |content, &tag| tagged(tag, &content));
+            let error = OnnxPolicy::from_bytes(bytes, &OnnxOptions::default()).unwrap_err().to_string();
+            assert!(error.starts_with("not a policy in ONNX") && error.contains("varint"), "{tags:x?}: {error}");
+        }
+    }
 
     #[test]
     fn lists_of_indices_have_numbers_and_ranges() {

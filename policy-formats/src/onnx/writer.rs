@@ -81,6 +81,7 @@ pub fn to_bytes(policy: &PolicyNetwork) -> Result<Vec<u8>, FormatError> {
             initializer: graph.constants,
             input: with_memory(value("observation", policy.observation_size()), "memory", policy),
             output: with_memory(value("action", policy.action_size()), "next_memory", policy),
+            ..GraphProto::default()
         }),
         opset_import: vec![OperatorSetIdProto { domain: String::new(), version: OPSET }],
         metadata_props: vec![metadata(policy.info())?],
@@ -99,7 +100,7 @@ fn value(name: &str, size: usize) -> ValueInfoProto {
     let rows = Dimension { dim_value: None, dim_param: Some("rows".into()) };
     let columns = Dimension { dim_value: Some(size as i64), dim_param: None };
     let tensor = TypeProtoTensor { elem_type: FLOAT, shape: Some(TensorShapeProto { dim: vec![rows, columns] }) };
-    ValueInfoProto { name: name.into(), r#type: Some(TypeProto { tensor_type: Some(tensor) }) }
+    ValueInfoProto { name: name.into(), r#type: Some(TypeProto { tensor_type: Some(tensor), ..TypeProto::default() }) }
 }
 
 /// Returns an input or output, and that of the memory of a recurrent policy.
@@ -123,6 +124,7 @@ impl Graph {
             data_type: FLOAT,
             name: name.into(),
             raw_data: numbers.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            ..TensorProto::default()
         });
     }
 
@@ -135,6 +137,7 @@ impl Graph {
             name: name.clone(),
             op_type: operator.into(),
             attribute,
+            ..NodeProto::default()
         });
         name
     }
@@ -146,6 +149,7 @@ impl Graph {
             data_type: INT64,
             name: name.into(),
             raw_data: numbers.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            ..TensorProto::default()
         });
     }
 
@@ -169,7 +173,12 @@ impl Graph {
         let unsqueezed =
             |graph: &mut Self, name: &str| graph.node("Unsqueeze", vec![name.into(), "sequence".into()], Vec::new());
         let (row, state) = (unsqueezed(self, &input), unsqueezed(self, "memory"));
-        let integer = |name: &str, value: i64| AttributeProto { name: name.into(), i: value, r#type: INTEGER };
+        let integer = |name: &str, value: i64| AttributeProto {
+            name: name.into(),
+            i: value,
+            r#type: INTEGER,
+            ..AttributeProto::default()
+        };
         let attributes = vec![integer("hidden_size", units as i64), integer("linear_before_reset", 1)];
         let names = ["input_weights", "state_weights", "recurrent_biases", ""].map(String::from);
         let inputs = [row].into_iter().chain(names).chain([state]).collect();
