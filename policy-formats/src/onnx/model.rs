@@ -1,5 +1,5 @@
-//! The messages of ONNX (`onnx.proto3`) that a graph of a policy needs, and all others that the runtime reads: it does not
-//! end at some damaged files, so that they are decoded here first.
+//! The messages of ONNX (`onnx.proto3`) that a graph of a policy needs, and all others that the runtime reads: it does
+//! not end at some damaged files, so that they are decoded here first.
 
 /// Type of elements: single precision.
 pub(super) const FLOAT: i32 = 1;
