@@ -16,6 +16,8 @@ use mujoco_drones_gym::{Rng, RngExt as _};
 #[derive(Debug, Clone)]
 struct Ball {
     solid: bool,
+    /// True for a ball that keeps its pose after the reset.
+    stands_still: bool,
     /// Largest offset along y, m.
     spread: f64,
     /// Sampled offset along y, m.
@@ -25,7 +27,7 @@ struct Ball {
 
 impl Ball {
     fn new(solid: bool, spread: f64) -> AviaryBuilder<Self> {
-        AviaryBuilder::new(Self { solid, spread, offset: 0.0, watch: CrashWatch::default() })
+        AviaryBuilder::new(Self { solid, stands_still: false, spread, offset: 0.0, watch: CrashWatch::default() })
     }
 
     fn place(&self, time: f64) -> Vector3<f64> {
@@ -51,7 +53,8 @@ impl Task for Ball {
             rgba: [0.9, 0.1, 0.1, 1.0],
             ..Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(1.5, 0.0, 1.0))
         };
-        vec![if self.solid { MovingMarker::solid("ball", body) } else { MovingMarker::visible("ball", body) }]
+        let ball = if self.solid { MovingMarker::solid("ball", body) } else { MovingMarker::visible("ball", body) };
+        vec![MovingMarker { stands_still: self.stands_still, ..ball }]
     }
     fn move_markers(&self, simulation: SimView<'_>, poses: &mut [MarkerPose]) {
         poses[0].position = self.place(simulation.time());
@@ -77,6 +80,35 @@ impl Task for Ball {
     }
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         Reference::hover(simulation.initial_states()[drone].position, 0.0)
+    }
+}
+
+#[test]
+fn a_marker_that_stands_still_only_moves_between_episodes() {
+    for solid in [true, false] {
+        for stands_still in [true, false] {
+            let mut env = Ball::new(solid, 0.3).task(|ball| ball.stands_still = stands_still).build().unwrap();
+            let place = |env: &Aviary<Ball>| {
+                let simulation = env.simulation();
+                let body = if solid { simulation.obstacles()[0] } else { simulation.markers().last().unwrap().body };
+                (body.position, env.task().offset)
+            };
+            let mut starts = Vec::new();
+            for seed in [1, 2] {
+                env.reset(Some(seed)).unwrap();
+                let (start, offset) = place(&env);
+                assert_eq!(start, Vector3::new(1.5, offset, 1.0));
+                starts.push(start);
+                for _ in 0..10 {
+                    env.step(&[0.0; 4]).unwrap();
+                }
+                let moved = if stands_still { 0.0 } else { env.simulation().time() };
+                assert_eq!(place(&env).0, Vector3::new(1.5 - moved, offset, 1.0), "{solid} {stands_still}");
+            }
+            assert_ne!(starts[0], starts[1]);
+            let moving = env.simulation().moving_obstacles().len();
+            assert_eq!(moving, usize::from(solid && !stands_still));
+        }
     }
 }
 

@@ -175,12 +175,13 @@ impl Play {
     /// Returns true if --as-trained is possible and changes the conditions.
     fn could_fly_as_trained(&self, policy: &PolicyFile, config: &TrainConfig) -> bool {
         let Self { as_trained, task, physics, conditions, .. } = self;
-        let Some(text) = policy.info().training.as_ref().filter(|_| !as_trained) else { return false };
-        let Ok(mut trained) = TrainConfig::of_task(&policy.info().task) else { return false };
-        let is_free = task.is_none() && physics.is_none() && conditions.is_default();
-        is_free
-            && trained.read_toml(text).is_ok()
-            && (&trained.conditions, trained.physics) != (&config.conditions, config.physics)
+        let is_possible = !as_trained && task.is_none() && physics.is_none() && conditions.is_default();
+        is_possible
+            && training_of(policy).is_ok_and(|trained| {
+                trained.is_some_and(|trained| {
+                    (&trained.conditions, trained.physics) != (&config.conditions, config.physics)
+                })
+            })
     }
 
     /// Returns the failure of a training configuration in the policy file.
@@ -239,7 +240,8 @@ impl Play {
             check_track_task(&config.task)?;
             config.track = Some(TrackChoice::NameOrFile(track.to_string()));
         } else if config.task == "race" && config.track.is_none() {
-            config.track = track_of(policy).map_err(|error| self.in_training(error))?;
+            let training = training_of(policy).map_err(|error| self.in_training(error))?;
+            config.track = training.and_then(|training| training.track);
         }
         let blocks = if policy.info().per_drone { 1 } else { config.num_drones.unwrap_or(1).max(1) };
         let inputs = policy.inputs().map(|inputs| inputs / blocks);
@@ -324,12 +326,12 @@ impl Play {
     }
 }
 
-/// Returns the track that a policy was trained on, if it has one.
-fn track_of(policy: &PolicyFile) -> Result<Option<TrackChoice>, TrainError> {
+/// Returns the configuration of the training of a policy, if its file has it.
+fn training_of(policy: &PolicyFile) -> Result<Option<TrainConfig>, TrainError> {
     let Some(text) = &policy.info().training else { return Ok(None) };
     let mut config = TrainConfig::of_task(&policy.info().task)?;
     config.read_toml(text)?;
-    Ok(config.track)
+    Ok(Some(config))
 }
 
 fn table(config: &TrainConfig, flown: &[Episode]) -> String {

@@ -38,9 +38,14 @@ impl MovingMarkers {
         self.declared.is_empty()
     }
 
-    /// Returns true if drones collide with a moving marker.
-    pub(crate) fn has_solid(&self) -> bool {
-        self.declared.iter().any(|marker| marker.solid)
+    /// Returns true if a marker moves during an episode.
+    pub(crate) fn moves(&self) -> bool {
+        self.declared.iter().any(|marker| !marker.stands_still)
+    }
+
+    /// Returns true if a marker with which drones collide moves during an episode.
+    pub(crate) fn moves_solid(&self) -> bool {
+        self.declared.iter().any(|marker| marker.solid && !marker.stands_still)
     }
 
     /// Moves the markers to the poses that the task computes, or, without a task, to their initial poses. `starts` is
@@ -63,6 +68,8 @@ impl MovingMarkers {
         self.obstacles.extend_from_slice(data.obstacles(model));
         let (mut obstacle, mut marker) = (self.first_obstacle, self.first_marker);
         for (declared, pose) in self.declared.iter().zip(&self.poses) {
+            // a marker that stands still keeps its pose, whatever the task computes
+            let keeps = declared.stands_still && !starts;
             let far = |x: &f64| x.is_nan() || x.abs() > 1e6;
             if let Some(x) = pose.position.iter().chain(&pose.rpy).find(|x| far(x)) {
                 let got = format!("{} for the marker `{}`", crate::number(*x), declared.marker.name);
@@ -70,16 +77,15 @@ impl MovingMarkers {
                 return Err(EnvError::Option { option: "move_markers", got, expected });
             }
             if declared.solid {
-                let body = &mut self.obstacles[obstacle];
-                if declared.stands_still && !starts && (body.position, body.rpy) != (pose.position, pose.rpy) {
-                    let got = format!("another pose for the marker `{}`", declared.marker.name);
-                    let expected = "no change during the episode, because it stands still";
-                    return Err(EnvError::Option { option: "move_markers", got, expected });
+                if !keeps {
+                    let body = &mut self.obstacles[obstacle];
+                    (body.position, body.rpy) = (pose.position, pose.rpy);
                 }
-                (body.position, body.rpy) = (pose.position, pose.rpy);
                 obstacle += 1;
             } else {
-                data.set_marker_pose(marker, *pose);
+                if !keeps {
+                    data.set_marker_pose(marker, *pose);
+                }
                 marker += 1;
             }
         }

@@ -112,7 +112,8 @@ impl<T: Task> EnvParts<'_, T> {
 
     /// Moves the task's markers to their present poses. `starts` is true at the start of an episode.
     pub(super) fn move_markers(&mut self, starts: bool) -> Result<(), EnvError> {
-        if self.workspace.moving.is_empty() {
+        let moving = &self.workspace.moving;
+        if moving.is_empty() || !(starts || moving.moves()) {
             return Ok(());
         }
         self.workspace.moving.place(Some(&self.episode.task), starts, self.sim_model, self.data)

@@ -142,8 +142,9 @@ pub trait Task: std::fmt::Debug + 'static {
 
     /// Sets the present poses of the [moving markers](Self::moving_markers), in their order. `poses` contains the
     /// poses at the start of an episode. The environment calls this function after [`reset`](Self::reset) and after
-    /// every [`update`](Self::update). The poses must depend only on the task and the simulation. During a control
-    /// step all markers stand still, including those that drones collide with.
+    /// every [`update`](Self::update); markers that [stand still](MovingMarker::stands_still) keep the pose of the
+    /// first call. The poses must depend only on the task and the simulation. During a control step all markers stand
+    /// still, including those that drones collide with.
     fn move_markers(&self, simulation: SimView<'_>, poses: &mut [MarkerPose]) {
         let _ = (simulation, poses);
     }

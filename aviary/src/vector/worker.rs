@@ -326,7 +326,7 @@ impl<T: Task> Worker<T> {
                 }
                 let outcome = parts.outcome();
                 let end = outcome.end.map(|end| (end, parts.episode.is_success(parts.view(), Some(end))));
-                let moved = parts.workspace.moving.has_solid();
+                let moved = parts.workspace.moving.moves_solid();
                 shard.envs.blocks[index / LANES].rewards[lane] += outcome.reward;
                 shard.step.write(index, outcome.reward, outcome.terminated, outcome.truncated);
                 if moved {

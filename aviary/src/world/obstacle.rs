@@ -240,8 +240,8 @@ pub struct MovingMarker {
     pub marker: Marker,
     /// True if drones collide with it.
     pub solid: bool,
-    /// True if it keeps its pose during an episode, and only has another one in the next episode. Records of flights
-    /// contain the poses of the other solid markers.
+    /// True if it keeps the pose that it has after the reset, and only has another one in the next episode. Steps then
+    /// take less time, and records of flights need no poses of it.
     pub stands_still: bool,
 }
 
