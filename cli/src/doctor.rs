@@ -158,9 +158,13 @@ fn gpus() -> Vec<Check> {
         let (detail, packages) = ("no adapter of Vulkan".into(), Some("mesa-vulkan-drivers".into()));
         return vec![Check { name: "GPU", works: false, detail, packages }];
     }
-    let check =
-        |adapter: &aviary_gpu::Adapter| Check { name: "GPU", works: true, detail: adapter.to_string(), packages: None };
-    adapters.iter().map(check).collect()
+    let check = |(index, adapter): (usize, &aviary_gpu::Adapter)| Check {
+        name: "GPU",
+        works: true,
+        detail: format!("{index}: {adapter}"),
+        packages: None,
+    };
+    adapters.iter().enumerate().map(check).collect()
 }
 
 /// Returns no adapters: the program was built without the feature `gpu`.

@@ -38,6 +38,19 @@ impl From<TrainError> for Failure {
     }
 }
 
+/// Errors of a GPU: a wrong option, or a machine whose GPU does not work.
+#[cfg(feature = "gpu")]
+impl From<aviary_gpu::GpuError> for Failure {
+    fn from(error: aviary_gpu::GpuError) -> Self {
+        use aviary_gpu::GpuError;
+
+        match error {
+            GpuError::NoAdapter { .. } | GpuError::Open { .. } | GpuError::Device { .. } => Self::work(error),
+            error => Self::input(error),
+        }
+    }
+}
+
 /// Prints the error on one line and returns the exit status.
 pub fn report(failure: &Failure) -> u8 {
     let (error, status) = match failure {

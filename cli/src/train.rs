@@ -11,7 +11,9 @@ use clap::{ArgGroup, Args, ValueHint};
 use learn::{Learner, Point, TrackChoice, TrainConfig, TrainDevice, Trainer};
 use serde_json::json;
 
-use self::run::{CHECKPOINT, Extras, Run, check_new};
+#[cfg(feature = "gpu")]
+use self::run::say;
+use self::run::{CHECKPOINT, Extras, Run, check_new, quoted};
 use crate::failure::Failure;
 use crate::options::check_track_task;
 use crate::output::{self, OutputDir};
@@ -125,7 +127,7 @@ pub struct Train {
     device: Option<TrainDevice>,
     /// GPU of the training: a number or a part of a name [default: 0]
     ///
-    /// `aviary doctor` lists the GPUs, from number 0 on.
+    /// `aviary doctor` lists the GPUs with their numbers.
     #[arg(long, value_name = "GPU")]
     adapter: Option<String>,
     /// Output directory [default: out/train/TASK]
@@ -219,6 +221,9 @@ impl Train {
         if self.device == Some(TrainDevice::Gpu) {
             command += " --device gpu";
         }
+        if let Some(adapter) = &self.adapter {
+            command += &format!(" --adapter {}", quoted(adapter));
+        }
         if self.until_success {
             command += " --until-success";
         }
@@ -228,7 +233,7 @@ impl Train {
     /// Creates the learner of the device of a configuration.
     fn learner(&self, config: &TrainConfig) -> Result<Box<dyn Learner>, Failure> {
         match config.device {
-            TrainDevice::Gpu => on_a_gpu(config, self.adapter.as_deref()),
+            TrainDevice::Gpu => on_a_gpu(config, self.adapter.as_deref(), self.json),
             TrainDevice::Cpu if self.adapter.is_some() => {
                 Err(Failure::input(anyhow!("--adapter is set for a training on the cpu, expected --device gpu")))
             }
@@ -246,8 +251,8 @@ impl Train {
         Run::resume(trainer, directory, locked, self.extras())
     }
 
-    fn extras(&self) -> Extras {
-        Extras { view: self.view, tensorboard: self.tensorboard }
+    fn extras(&self) -> Extras<'_> {
+        Extras { view: self.view, tensorboard: self.tensorboard, adapter: self.adapter.as_deref() }
     }
 
     /// Returns the value of an option, or the value of --all if that is set.
@@ -304,22 +309,23 @@ impl Train {
     }
 }
 
-/// Creates the learner of a GPU.
+/// Creates the learner of a GPU, and prints on standard error which one it is unless `quiet`.
 #[cfg(feature = "gpu")]
-fn on_a_gpu(config: &TrainConfig, adapter: Option<&str>) -> Result<Box<dyn Learner>, Failure> {
-    use aviary_gpu::{GpuDevice, GpuError, GpuPpo};
+fn on_a_gpu(config: &TrainConfig, adapter: Option<&str>, quiet: bool) -> Result<Box<dyn Learner>, Failure> {
+    use aviary_gpu::{AdapterKind, GpuDevice, GpuPpo};
 
-    let learner =
-        GpuDevice::open(adapter).and_then(|device| GpuPpo::new(config, &device)).map_err(|error| match error {
-            GpuError::NoAdapter { .. } | GpuError::Open { .. } | GpuError::Device { .. } => Failure::work(error),
-            error => Failure::input(error),
-        })?;
-    Ok(Box::new(learner))
+    let device = GpuDevice::open(adapter)?;
+    if !quiet {
+        let adapter = device.adapter();
+        let slow = if adapter.kind == AdapterKind::Cpu { ": slower than --device cpu" } else { "" };
+        say(&format!("note: training on {adapter}{slow}"));
+    }
+    Ok(Box::new(GpuPpo::new(config, &device)?))
 }
 
 /// Returns the error of a program that was built without the feature `gpu`.
 #[cfg(not(feature = "gpu"))]
-fn on_a_gpu(_: &TrainConfig, _: Option<&str>) -> Result<Box<dyn Learner>, Failure> {
+fn on_a_gpu(_: &TrainConfig, _: Option<&str>, _: bool) -> Result<Box<dyn Learner>, Failure> {
     let fix = "cargo run --release -p cli --features gpu -- train …";
     Err(Failure::input(anyhow!("this program was built without training on a GPU; fix: {fix}")))
 }

@@ -1,5 +1,8 @@
 //! Batch of environments on a GPU, with host buffers.
 
+#[cfg(feature = "burn")]
+mod tensors;
+
 use std::sync::OnceLock;
 
 use aviary::action::MotorScale;
@@ -15,13 +18,20 @@ use aviary::tasks::{Antipodal, FlyThrough, Formation, Hover, MultiHover, Race, S
 use aviary::vector::{Autoreset, OnFault, VecConfig, VecEnv, VecImages, VecStep};
 use cubecl::prelude::*;
 
+#[cfg(feature = "learn")]
+use aviary::env::{InitialRanges, Randomization};
+
 use crate::device::GpuDevice;
-use crate::environment::{COMMAND, count_numbers, end};
+use crate::environment::{COMMAND, end};
 use crate::error::GpuError;
 use crate::launch::DeviceBatch;
 use crate::parameters::Parameters;
+#[cfg(feature = "learn")]
+use crate::plan::check_starts;
 use crate::plan::{Decoding, Plan, describe, reason_of};
 use crate::tasks::GpuTask;
+#[cfg(feature = "burn")]
+pub use tensors::DeviceStep;
 
 /// Precision of the numbers of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -106,13 +116,26 @@ pub struct GpuAviary {
     /// Summaries of the episodes that ended in the last step.
     summaries: Vec<Option<EpisodeSummary>>,
     finals: Vec<f32>,
+    /// Last observations that the host has, if the batch keeps them.
+    kept: Vec<f32>,
     faults: Vec<(usize, EnvError)>,
     /// Actions of the last step.
     actions: Vec<f64>,
     /// Number of control steps of the batch.
     control_steps: u64,
-    /// Numbers of all drones, once a caller has asked for the state of one since the last step or reset.
-    downloaded: OnceLock<Vec<f64>>,
+    /// True if the device has advanced without the host since [`GpuAviary::progress`] was current.
+    ahead: bool,
+    /// Contents of the device, once a caller has asked for the state of a drone since the last step or reset.
+    downloaded: OnceLock<Downloaded>,
+}
+
+/// Contents of the memory of the device.
+#[derive(Debug)]
+struct Downloaded {
+    /// Numbers of all drones.
+    numbers: Vec<f64>,
+    /// Actions of the last step, if the host does not have them.
+    actions: Option<Vec<f64>>,
 }
 
 impl GpuAviary {
@@ -144,6 +167,7 @@ impl GpuAviary {
         let keeps_last = config.autoreset == Autoreset::SameStep;
         let batch = DeviceBatch::new(device, precision, plan, &parameters, count, keeps_last)?;
         let (observation_space, drones) = (first.observation_space().clone(), batch.drones());
+        let kept = if config.keep_observations { count * observation_space.vector.size() } else { 0 };
         let finals = if keeps_last { drones * batch.plan.observation_size() } else { 0 };
         Ok(Self {
             name: first.name(),
@@ -156,9 +180,11 @@ impl GpuAviary {
             progress: vec![Progress::default(); count],
             summaries: vec![None; count],
             finals: vec![0.0; finals],
+            kept: vec![0.0; kept],
             faults: Vec::new(),
             actions: vec![0.0; drones * batch.plan.action_size()],
             control_steps: 0,
+            ahead: false,
             downloaded: OnceLock::new(),
             batch,
         })
@@ -251,28 +277,48 @@ impl GpuAviary {
     /// [`GpuError::Env`] if an environment has not been reset, or with [`Autoreset::Disabled`], whose environments stop
     /// at the end of their episode. [`GpuError::Device`] if the device fails.
     pub fn repeat_on_device(&mut self, steps: u32) -> Result<(), GpuError> {
-        if self.config.autoreset == Autoreset::Disabled {
-            let (got, expected) = ("disabled".into(), "next_step or same_step");
-            return Err(EnvError::Option { option: "autoreset", got, expected }.into());
-        }
-        self.check_started()?;
+        self.check_runs_on_device()?;
         for _ in 0..steps {
             self.batch.step();
         }
+        self.left_behind(steps);
+        self.batch.wait()
+    }
+
+    /// Returns the error of a batch that cannot advance without the host.
+    fn check_runs_on_device(&self) -> Result<(), EnvError> {
+        if self.config.autoreset == Autoreset::Disabled {
+            let (got, expected) = ("disabled".into(), "next_step or same_step");
+            return Err(EnvError::Option { option: "autoreset", got, expected });
+        }
+        self.check_started()
+    }
+
+    /// Notes that the device has advanced by some steps without the host.
+    fn left_behind(&mut self, steps: u32) {
         self.control_steps += u64::from(steps);
-        self.summaries.fill(None);
-        self.faults.clear();
         self.downloaded = OnceLock::new();
-        self.batch.wait()?;
+        if !self.ahead {
+            self.ahead = true;
+            self.summaries.fill(None);
+            self.faults.clear();
+            self.progress.iter_mut().for_each(|progress| progress.commanded = true);
+        }
+    }
+
+    /// Copies what the host has to know of the episodes, if the device has advanced without it.
+    fn catch_up(&mut self) -> Result<(), GpuError> {
+        if !self.ahead {
+            return Ok(());
+        }
         // episodes may have ended and started
         let next_step = self.config.autoreset == Autoreset::NextStep;
         for (progress, [steps, end]) in self.progress.iter_mut().zip(self.batch.download_progress()?) {
             let over = next_step && end != 0;
-            *progress = Progress { started: true, over, reward: 0.0, steps: u64::from(steps), commanded: true };
-            if over {
-                progress.steps = 0;
-            }
+            let steps = if over { 0 } else { u64::from(steps) };
+            *progress = Progress { started: true, over, reward: 0.0, steps, commanded: true };
         }
+        self.ahead = false;
         Ok(())
     }
 
@@ -284,10 +330,32 @@ impl GpuAviary {
         observations: &mut [f32],
     ) -> Result<(), EnvError> {
         self.faults.clear();
-        self.downloaded = OnceLock::new();
         let (count, size) = (self.progress.len(), self.observation_size());
         check_len("mask", mask.len(), count)?;
         check_len("observations", observations.len(), count * size)?;
+        self.catch_up()?;
+        self.select(mask, seed_of);
+        let waits: Vec<bool> = (0..count).map(|environment| self.needs_reset(environment).is_some()).collect();
+        let bytes = self.batch.read([&self.batch.observations])?;
+        let rows = f32::from_bytes(&bytes[0]).chunks_exact(size);
+        for (environment, (row, out)) in rows.zip(observations.chunks_exact_mut(size)).enumerate() {
+            if self.config.keep_observations {
+                let kept = &mut self.kept[environment * size..][..size];
+                // without an episode the device has another row
+                if !waits[environment] {
+                    kept.copy_from_slice(row);
+                }
+                out.copy_from_slice(kept);
+            } else if mask[environment] {
+                out.copy_from_slice(row);
+            }
+        }
+        Ok(())
+    }
+
+    /// Starts an episode on the device in every environment that the mask selects.
+    fn select(&mut self, mask: &[bool], seed_of: impl Fn(usize) -> Option<u64>) {
+        let count = self.progress.len();
         let mut selection = vec![0_u32; 3 * count];
         for environment in (0..count).filter(|&environment| mask[environment]) {
             let seed = seed_of(environment);
@@ -296,18 +364,11 @@ impl GpuAviary {
             (selection[count + environment], selection[2 * count + environment]) = (seed as u32, (seed >> 32) as u32);
         }
         self.batch.reset(&selection);
-        let bytes = self.batch.read([&self.batch.observations])?;
-        let rows = f32::from_bytes(&bytes[0]).chunks_exact(size);
-        for (environment, (row, out)) in rows.zip(observations.chunks_exact_mut(size)).enumerate() {
-            if mask[environment] || self.config.keep_observations {
-                out.copy_from_slice(row);
-            }
-            if mask[environment] {
-                self.progress[environment] = Progress { started: true, ..Progress::default() };
-                self.summaries[environment] = None;
-            }
+        self.downloaded = OnceLock::new();
+        for environment in (0..count).filter(|&environment| mask[environment]) {
+            self.progress[environment] = Progress { started: true, ..Progress::default() };
+            self.summaries[environment] = None;
         }
-        Ok(())
     }
 
     /// Returns the error of an environment that needs a reset before its next step.
@@ -354,6 +415,7 @@ impl GpuAviary {
         check_len("rewards", out.rewards.len(), count)?;
         check_len("terminated", out.terminated.len(), count)?;
         check_len("truncated", out.truncated.len(), count)?;
+        self.catch_up()?;
         let fatal = self.config.on_fault == OnFault::Error;
         if fatal {
             self.check_started()?;
@@ -376,7 +438,14 @@ impl GpuAviary {
         let rows = f32::from_bytes(&bytes[0]).chunks_exact(size).zip(out.observations.chunks_exact_mut(size));
         for (environment, (row, out)) in rows.enumerate() {
             // an environment that waits for its reset keeps its row
-            if self.needs_reset(environment).is_none() {
+            let waits = self.needs_reset(environment).is_some();
+            if self.config.keep_observations {
+                let kept = &mut self.kept[environment * size..][..size];
+                if !waits {
+                    kept.copy_from_slice(row);
+                }
+                out.copy_from_slice(kept);
+            } else if !waits {
                 out.copy_from_slice(row);
             }
         }
@@ -436,13 +505,24 @@ impl GpuAviary {
         self.progress[environment] = Progress { started: true, over, commanded: over, ..Progress::default() };
     }
 
-    /// Returns the numbers of all drones.
-    fn numbers(&self) -> Option<&[f64]> {
+    /// Checks that no start of an episode in these ranges needs a second sample.
+    #[cfg(feature = "learn")]
+    pub(crate) fn check_starts(&self, ranges: &[InitialRanges]) -> Result<(), GpuError> {
+        for initial in ranges {
+            let ranges = Randomization { initial: Some(*initial), ..Randomization::NONE };
+            check_starts(&self.batch.plan.task, &ranges, &self.nominal)?;
+        }
+        Ok(())
+    }
+
+    /// Returns the contents of the device.
+    fn downloaded(&self) -> Option<&Downloaded> {
         if self.downloaded.get().is_none() {
             let numbers = self.batch.download_numbers().ok()?;
-            let _ = self.downloaded.set(numbers);
+            let actions = if self.ahead { Some(self.batch.download_actions().ok()?) } else { None };
+            let _ = self.downloaded.set(Downloaded { numbers, actions });
         }
-        self.downloaded.get().map(Vec::as_slice)
+        self.downloaded.get()
     }
 }
 
@@ -459,10 +539,9 @@ fn state_of(at: impl Fn(usize) -> f64) -> DroneState {
 /// Checks that the buffers of a batch are within the limits of the device.
 fn check_size(device: &GpuDevice, count: usize, precision: Precision, plan: &Plan) -> Result<(), GpuError> {
     let adapter = device.adapter();
-    let by_bytes = adapter.max_buffer / DeviceBatch::largest_row(plan, precision) as u64;
+    let [entries, bytes] = DeviceBatch::largest_rows(plan, precision).map(|row| row as u64);
     // entries of the buffers have indices of 32 bits
-    let numbers = (count_numbers(plan) * plan.drones as usize) as u64;
-    let max = by_bytes.min(u64::from(u32::MAX) / numbers) as usize;
+    let max = (adapter.max_buffer / bytes).min(u64::from(u32::MAX) / entries) as usize;
     let max = max.min(VecConfig::MAX_ENVIRONMENTS);
     if count <= max {
         return Ok(());
@@ -559,10 +638,10 @@ impl VecEnv for GpuAviary {
         if environment >= self.progress.len() || drone >= drones {
             return None;
         }
-        let (numbers, index) = (self.numbers()?, environment * drones + drone);
+        let (Downloaded { numbers, actions }, index) = (self.downloaded()?, environment * drones + drone);
         let at = |row: usize| numbers[row * count + index];
         let size = self.batch.plan.action_size();
-        let action = &self.action_of(&self.actions, environment)[drone * size..][..size];
+        let action = &self.action_of(actions.as_ref().unwrap_or(&self.actions), environment)[drone * size..][..size];
         let hover = if self.batch.plan.relative { self.nominal[drone].hover_rpm } else { 0.0 };
         let command = |motor: usize| match self.batch.plan.decoding {
             _ if !self.progress[environment].commanded => 0.0,

@@ -6,7 +6,7 @@ use cubecl::client::Client;
 use cubecl::ir::{ElemType, FloatKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, WgpuBackend, WgpuDevice, WgpuDeviceKind};
 
-use crate::error::GpuError;
+use crate::error::{GpuError, one_line};
 
 /// Kind of an adapter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -69,6 +69,9 @@ const API: (wgpu::Backends, WgpuBackend, &str) = (wgpu::Backends::VULKAN, WgpuBa
 const API: (wgpu::Backends, WgpuBackend, &str) = (wgpu::Backends::METAL, WgpuBackend::Metal, "Metal");
 #[cfg(not(any(feature = "vulkan", feature = "metal")))]
 const API: (wgpu::Backends, WgpuBackend, &str) = (wgpu::Backends::VULKAN, WgpuBackend::Vulkan, "Vulkan");
+
+/// Number of buffers of the largest kernel: nine of the step, and those of the runtime.
+const BINDINGS: u32 = 12;
 
 /// Devices of which the runtime has a connection. The lock also keeps the instances of the programming interface on one
 /// thread at a time: the Vulkan loader crashes if several threads create and drop them.
@@ -148,7 +151,8 @@ impl GpuDevice {
     /// without a choice.
     ///
     /// # Errors
-    /// [`GpuError::NoAdapter`], [`GpuError::UnknownAdapter`], and [`GpuError::Open`] if the driver refuses.
+    /// [`GpuError::NoAdapter`], [`GpuError::UnknownAdapter`], and [`GpuError::Open`] if the driver refuses, or has too
+    /// few buffers for a kernel.
     pub fn open(choice: Option<&str>) -> Result<Self, GpuError> {
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         let mut adapters = list();
@@ -166,14 +170,26 @@ impl GpuDevice {
         let mut adapter = adapters.swap_remove(index);
         if !open.contains(&adapter.device) {
             let setup = cubecl::wgpu::try_init_setup::<AutoGraphicsApi>(&adapter.device, RuntimeOptions::default());
-            if let Err(error) = setup {
-                let GpuError::Device { message } = GpuError::device(&error) else { unreachable!("a device error") };
-                return Err(GpuError::Open { adapter: adapter.name, message });
-            }
+            let setup = match setup {
+                Ok(setup) => setup,
+                Err(error) => {
+                    let message = one_line(&error);
+                    return Err(GpuError::Open { adapter: adapter.name, message });
+                }
+            };
             open.push(adapter.device.clone());
+            #[cfg(test)]
+            tests::keep(setup.device);
+            #[cfg(not(test))]
+            drop(setup);
         }
         let client = cubecl::Device::Wgpu(adapter.device.clone()).client();
         let properties = client.properties();
+        let bindings = properties.hardware.max_bindings;
+        if bindings < BINDINGS {
+            let message = format!("its kernels have at most {bindings} buffers, expected {BINDINGS} or more");
+            return Err(GpuError::Open { adapter: adapter.name, message });
+        }
         adapter.double &= properties.supports_type(ElemType::Float(FloatKind::F64));
         adapter.max_buffer = properties.memory.max_page_size;
         Ok(Self { adapter, client })
@@ -184,10 +200,28 @@ impl GpuDevice {
         &self.adapter
     }
 
+    /// Returns width and height of a grid of at least a number of workgroups, with few more than that.
+    pub(crate) fn grid(&self, groups: usize) -> [u32; 2] {
+        grid(groups, self.client.properties().hardware.max_cube_count.0 as usize)
+    }
+
+    /// Returns the device in the runtime.
+    #[cfg(feature = "burn")]
+    pub(crate) fn cube(&self) -> cubecl::Device {
+        cubecl::Device::Wgpu(self.adapter.device.clone())
+    }
+
     /// Returns the connection of the runtime.
     pub(crate) fn client(&self) -> &Client {
         &self.client
     }
+}
+
+/// Returns width and height of a grid of at least a number of workgroups, with a largest width.
+fn grid(groups: usize, max: usize) -> [u32; 2] {
+    let groups = groups.max(1);
+    let height = groups.div_ceil(max);
+    [groups.div_ceil(height), height].map(|length| length as u32)
 }
 
 /// Returns the adapter with an index or with a part of a name.
@@ -203,5 +237,61 @@ pub(crate) fn for_tests() -> Option<GpuDevice> {
     match GpuDevice::open(None) {
         Err(GpuError::NoAdapter { .. }) if std::env::var_os("AVIARY_REQUIRE_GPU").is_none() => None,
         device => Some(device.expect("an adapter that opens")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+    use std::sync::Mutex;
+
+    use aviary::env::EnvConfig;
+    use aviary::vector::{VecBuffers, VecConfig, VecEnv as _};
+
+    use super::{for_tests, grid};
+    use crate::batch::{GpuAviary, Precision};
+
+    /// Opened devices, which a test can take away.
+    static DEVICES: Mutex<Vec<wgpu::Device>> = Mutex::new(Vec::new());
+
+    pub fn keep(device: wgpu::Device) {
+        DEVICES.lock().unwrap().push(device);
+    }
+
+    /// Runs in a process of its own: the device is lost for all tests of the process.
+    #[test]
+    #[ignore = "run by a_lost_device_is_an_error_of_one_line"]
+    fn lose_the_device() {
+        let Some(device) = for_tests() else { return };
+        let options = EnvConfig::default();
+        let mut env = GpuAviary::make("hover", options, VecConfig::new(4), &device, Precision::Single).unwrap();
+        let mut buffers = VecBuffers::new(&env);
+        env.reset(Some(1), &mut buffers.observations).unwrap();
+        env.step(&[0.0; 16], buffers.step()).unwrap();
+        DEVICES.lock().unwrap().iter().for_each(wgpu::Device::destroy);
+        for _ in 0..2 {
+            let error = env.step(&[0.0; 16], buffers.step()).unwrap_err().to_string();
+            assert!(error.starts_with("the GPU failed: ") && !error.contains('\n'), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_lost_device_is_an_error_of_one_line() {
+        let program = std::env::current_exe().unwrap();
+        let arguments = ["--exact", "device::tests::lose_the_device", "--ignored"];
+        let output = Command::new(program).args(arguments).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && text.contains("1 passed"), "{text}");
+    }
+
+    #[test]
+    fn a_grid_has_few_workgroups_more_than_it_needs() {
+        assert_eq!(grid(0, 65_535), [1, 1]);
+        assert_eq!(grid(65_535, 65_535), [65_535, 1]);
+        assert_eq!(grid(65_536, 65_535), [32_768, 2]);
+        for groups in [1, 7, 100, 65_537, 131_071, 1 << 20, (1 << 24) + 1] {
+            let [width, height] = grid(groups, 65_535).map(|length| length as usize);
+            assert!(width <= 65_535 && (groups..groups + height).contains(&(width * height)), "{groups}");
+        }
     }
 }

@@ -47,6 +47,20 @@ pub enum GpuError {
         /// Name of the adapter.
         adapter: String,
     },
+    /// An option of training whose buffers exceed the limits of the adapter.
+    #[error("{option} is {got}, expected at most {max} on {adapter}, whose buffers have at most {bytes} bytes")]
+    TooLarge {
+        /// Name of the option.
+        option: &'static str,
+        /// Value of the option; for layers, their number of parameters.
+        got: usize,
+        /// Largest value.
+        max: usize,
+        /// Largest buffer, bytes.
+        bytes: u64,
+        /// Name of the adapter.
+        adapter: String,
+    },
     /// An option that the kernels do not have.
     #[error("{option} is {got}, expected {expected} on the GPU")]
     NotPorted {
@@ -56,6 +70,15 @@ pub enum GpuError {
         got: String,
         /// Values that the kernels have.
         expected: &'static str,
+    },
+    /// A tensor of actions of another shape, or that has no memory on the device of the batch.
+    #[cfg(feature = "burn")]
+    #[error("actions is {got}, expected a tensor {expected}")]
+    Actions {
+        /// The tensor.
+        got: String,
+        /// What the batch needs.
+        expected: String,
     },
     /// An error of the device during its work: out of memory, or no longer available.
     #[error("the GPU failed: {message}")]
@@ -71,10 +94,15 @@ pub enum GpuError {
 impl GpuError {
     /// Creates an error from an error of the runtime, which has several lines and a backtrace.
     pub(crate) fn device(error: &impl std::fmt::Display) -> Self {
-        let text = error.to_string();
-        let lines = text.lines().map(str::trim).take_while(|line| !line.starts_with("Backtrace"));
-        Self::Device { message: lines.filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ") }
+        Self::Device { message: one_line(error) }
     }
+}
+
+/// Returns the text of an error of the runtime on one line, without its backtrace.
+pub(crate) fn one_line(error: &impl std::fmt::Display) -> String {
+    let text = error.to_string();
+    let lines = text.lines().map(str::trim).take_while(|line| !line.starts_with("Backtrace"));
+    lines.filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
 impl From<GpuError> for EnvError {

@@ -53,7 +53,7 @@ impl DeviceBatch {
     /// Allocates a batch. `parameters` has the nominal parameters of each drone of an environment.
     ///
     /// # Errors
-    /// [`GpuError::NotPorted`] for more drones than threads in a workgroup.
+    /// [`GpuError::NotPorted`] for more drones than threads in a workgroup. [`GpuError::Device`] without the memory.
     pub fn new(
         device: &GpuDevice,
         precision: Precision,
@@ -76,7 +76,7 @@ impl DeviceBatch {
             numbers: zeros(drones * count_numbers(&plan) * precision.bytes()),
             words: zeros(drones * Memory::<f64>::WORDS * size_of::<u32>()),
             actions: zeros(drones * plan.action_size() * precision.bytes()),
-            parameters: upload(device, precision, &parameters),
+            parameters: upload(device, precision, parameters.into_iter()),
             observations: zeros(observations * single),
             last_observations: zeros(if keeps_last { observations } else { 1 } * single),
             rewards: zeros(environments * single),
@@ -85,6 +85,8 @@ impl DeviceBatch {
             plan,
         };
         batch.set_workgroup(THREADS.max(batch.plan.drones))?;
+        // memory that the device does not have is an error here
+        batch.wait()?;
         Ok(batch)
     }
 
@@ -115,7 +117,9 @@ impl DeviceBatch {
     pub fn bytes_per_env(plan: &Plan, precision: Precision, keeps_last: bool) -> usize {
         let observations = plan.observation_size() * if keeps_last { 2 } else { 1 };
         let single = observations + Memory::<f64>::WORDS;
-        let drone = (count_numbers(plan) + plan.action_size()) * precision.bytes() + single * size_of::<f32>();
+        let exchanged = if plan.drones > 1 { Group::ROWS } else { 0 };
+        let numbers = count_numbers(plan) + plan.action_size() + exchanged;
+        let drone = numbers * precision.bytes() + single * size_of::<f32>();
         plan.drones as usize * drone + size_of::<f32>() + size_of::<u32>()
     }
 
@@ -127,10 +131,14 @@ impl DeviceBatch {
         plan.drones as usize * drone + size_of::<f32>() + size_of::<u32>()
     }
 
-    /// Returns the largest number of bytes that one buffer needs for an environment.
-    pub fn largest_row(plan: &Plan, precision: Precision) -> usize {
-        let drone = (count_numbers(plan) * precision.bytes()).max(plan.observation_size() * size_of::<f32>());
-        plan.drones as usize * drone
+    /// Returns the largest number of entries, and the largest number of bytes, that one buffer needs for an
+    /// environment.
+    pub fn largest_rows(plan: &Plan, precision: Precision) -> [usize; 2] {
+        let exchanged = if plan.drones > 1 { Group::ROWS } else { 0 };
+        let in_precision = count_numbers(plan).max(plan.action_size()).max(exchanged);
+        let single = plan.observation_size().max(Memory::<f64>::WORDS);
+        let bytes = (in_precision * precision.bytes()).max(single * size_of::<f32>());
+        [in_precision.max(single), bytes].map(|drone| plan.drones as usize * drone)
     }
 
     /// Copies actions to the device.
@@ -139,8 +147,20 @@ impl DeviceBatch {
         const MAX: f64 = 1e30;
         // infinities are faults, and clamp keeps NaN
         let limited = |&x: &f64| if x.is_infinite() { x } else { x.clamp(-MAX, MAX) };
-        let actions: Vec<f64> = actions.iter().map(limited).collect();
-        self.actions = upload(&self.device, self.precision, &actions);
+        self.actions = upload(&self.device, self.precision, actions.iter().map(limited));
+    }
+
+    /// Replaces the buffers of the results of steps and resets, so that those of earlier steps keep their values.
+    #[cfg(feature = "burn")]
+    pub fn renew_outputs(&mut self) {
+        let client = self.device.client();
+        let rows = self.drones() * self.plan.observation_size() * size_of::<f32>();
+        self.observations = client.empty(rows);
+        if self.keeps_last {
+            self.last_observations = client.empty(rows);
+        }
+        self.rewards = client.empty(self.environments * size_of::<f32>());
+        self.ends = client.empty(self.environments * size_of::<u32>());
     }
 
     /// Copies buffers to the host.
@@ -150,7 +170,17 @@ impl DeviceBatch {
 
     /// Copies the numbers of all drones to the host.
     pub fn download_numbers(&self) -> Result<Vec<f64>, GpuError> {
-        let bytes = self.read([&self.numbers])?;
+        self.download(&self.numbers)
+    }
+
+    /// Copies the actions of the last step to the host.
+    pub fn download_actions(&self) -> Result<Vec<f64>, GpuError> {
+        self.download(&self.actions)
+    }
+
+    /// Copies a buffer in the precision of the batch to the host.
+    fn download(&self, handle: &Handle) -> Result<Vec<f64>, GpuError> {
+        let bytes = self.read([handle])?;
         Ok(match self.precision {
             Precision::Single => f32::from_bytes(&bytes[0]).iter().map(|&x| f64::from(x)).collect(),
             Precision::Double => f64::from_bytes(&bytes[0]).to_vec(),
@@ -184,9 +214,8 @@ impl DeviceBatch {
 
     /// Returns the width and the height of the grid of workgroups.
     fn groups(&self) -> (usize, usize) {
-        let groups = self.drones().div_ceil(self.workgroup as usize);
-        let width = groups.min(self.device.client().properties().hardware.max_cube_count.0 as usize);
-        (width, groups.div_ceil(width))
+        let [width, height] = self.device.grid(self.drones().div_ceil(self.workgroup as usize));
+        (width as usize, height as usize)
     }
 
     /// Returns the grid of workgroups with a thread per drone.
@@ -312,12 +341,10 @@ pub fn bandwidth(device: &GpuDevice) -> Result<f64, GpuError> {
 }
 
 /// Copies numbers to the device.
-pub(crate) fn upload(device: &GpuDevice, precision: Precision, numbers: &[f64]) -> Handle {
-    match precision {
-        Precision::Single => {
-            let numbers: Vec<f32> = numbers.iter().map(|&x| x as f32).collect();
-            device.client().create(Bytes::from_elems(numbers))
-        }
-        Precision::Double => device.client().create_from_slice(f64::as_bytes(numbers)),
-    }
+pub(crate) fn upload(device: &GpuDevice, precision: Precision, numbers: impl Iterator<Item = f64>) -> Handle {
+    let bytes = match precision {
+        Precision::Single => Bytes::from_elems(numbers.map(|x| x as f32).collect::<Vec<f32>>()),
+        Precision::Double => Bytes::from_elems(numbers.collect::<Vec<f64>>()),
+    };
+    device.client().create(bytes)
 }

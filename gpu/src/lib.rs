@@ -23,6 +23,8 @@ mod random;
 mod tasks;
 mod traced;
 
+#[cfg(feature = "burn")]
+pub use batch::DeviceStep;
 pub use batch::{GpuAviary, Precision};
 pub use device::{Adapter, AdapterKind, GpuDevice, adapters};
 pub use error::GpuError;

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 use std::fmt::Debug;
-use std::hash::{Hash, Hasher};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::Deref;
 use std::sync::Arc;
 
@@ -30,18 +30,28 @@ use crate::error::GpuError;
 use crate::parameters::{Parameters, motion_of};
 use crate::tasks::{GpuTask, KernelTask};
 
+/// Largest number of control steps whose commands or states are on their way: a kernel visits each of them in every
+/// step, in instructions of its own.
+const MAX_LATE: usize = 64;
+
+/// Largest number of drones of an environment: a kernel visits every other drone, in instructions of its own.
+const MAX_DRONES: usize = 64;
+
 /// Settings whose numbers are constants of a kernel. Two of them are equal if their texts are, which contain every
-/// digit.
+/// digit. Every launch compares them, so that their hash is computed once.
 #[derive(Debug, Clone)]
 pub(crate) struct Settings<T> {
     value: Arc<T>,
     text: Arc<str>,
+    hash: u64,
 }
 
 impl<T: Debug> Settings<T> {
     pub fn new(value: T) -> Self {
-        let text = format!("{value:?}").into();
-        Self { value: Arc::new(value), text }
+        let text = format!("{value:?}");
+        let mut hasher = DefaultHasher::new();
+        text.hash(&mut hasher);
+        Self { value: Arc::new(value), text: text.into(), hash: hasher.finish() }
     }
 }
 
@@ -55,7 +65,7 @@ impl<T> Deref for Settings<T> {
 
 impl<T> PartialEq for Settings<T> {
     fn eq(&self, other: &Self) -> bool {
-        self.text == other.text
+        Arc::ptr_eq(&self.text, &other.text) || self.text == other.text
     }
 }
 
@@ -63,7 +73,7 @@ impl<T> Eq for Settings<T> {}
 
 impl<T> Hash for Settings<T> {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        self.text.hash(state);
+        self.hash.hash(state);
     }
 }
 
@@ -236,6 +246,9 @@ pub(crate) fn describe<T: GpuTask>(
         check_airframe(simulation.params(drone), relative)?;
     }
     check_crash(&crash)?;
+    if drones > MAX_DRONES {
+        return not_ported("num_drones", drones, "at most 64");
+    }
     let Ok(episode_steps) = u32::try_from(env.episode_steps()) else {
         let got = format!("set to {} control steps", env.episode_steps());
         return not_ported("episode_seconds", got, "at most 4,294,967,295 control steps");
@@ -256,9 +269,19 @@ pub(crate) fn describe<T: GpuTask>(
         (None, wind) => wind.map(|wind| wind.params(dt)),
     };
     let decoding = decoding(env, action_type)?;
-    let history = |seconds: f64| ((seconds / dt).round() as usize).div_ceil(substeps as usize);
-    let motors = ranges.actuators.map_or(0.0, |ranges| ranges.latency[1]);
+    let history = |option, seconds: f64| match ((seconds / dt).round() as usize).div_ceil(substeps as usize) {
+        steps @ 0..=MAX_LATE => Ok(steps),
+        steps => not_ported(option, format!("up to {steps} control steps"), "at most 64 control steps"),
+    };
     let nominal_latency = (0..drones).map(|drone| simulation.actuator_params(drone).latency).fold(0.0, f64::max);
+    let late_commands = match ranges.actuators {
+        Some(ranges) => history("randomization.actuators.latency", ranges.latency[1])?,
+        None => history("latency", nominal_latency)?,
+    };
+    let late_states = match ranges.sensors {
+        Some(ranges) => history("randomization.sensors.latency", ranges.latency[1])?,
+        None => 0,
+    };
     let bounds = |low: &[f64], high: &[f64]| -> Settings<Vec<[f64; 2]>> {
         let all = low.iter().zip(high).map(|(&low, &high)| [low, high]);
         Settings::new(all.take(low.len() / drones).collect())
@@ -288,8 +311,8 @@ pub(crate) fn describe<T: GpuTask>(
         body_fixed: world.forcing == Forcing::BodyFixed,
         wind: wind_params.as_ref().map(WindPlan::new),
         floor: parameters.iter().any(|nominal| may_start_on_floor(&ranges, nominal)),
-        late_commands: history(if ranges.actuators.is_some() { motors } else { nominal_latency }),
-        late_states: history(ranges.sensors.map_or(0.0, |ranges| ranges.latency[1])),
+        late_commands,
+        late_states,
         ranges: Settings::new(ranges),
         sampled_wind: sampled_wind.map(Settings::new),
         drawn: vec![false; Parameters::COUNT],
@@ -435,7 +458,7 @@ fn may_start_on_floor(ranges: &Randomization, nominal: &Parameters) -> bool {
 }
 
 /// Checks that no start of an episode needs a second sample. On the CPU such starts overlap the floor or another drone.
-fn check_starts(task: &KernelTask, ranges: &Randomization, drones: &[Parameters]) -> Result<(), GpuError> {
+pub(crate) fn check_starts(task: &KernelTask, ranges: &Randomization, drones: &[Parameters]) -> Result<(), GpuError> {
     if matches!(task, KernelTask::Stabilize { .. }) {
         let clearance = |nominal: &Parameters| lowest_start(ranges, nominal) - ball(&nominal.cylinder);
         let lowest = drones.iter().map(clearance).fold(f64::INFINITY, f64::min);

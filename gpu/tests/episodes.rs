@@ -503,3 +503,48 @@ fn an_episode_that_has_ended_waits_for_its_reset() {
     gpu.reset_where(&[true, false], None, &mut on_gpu.observations).unwrap();
     assert!((on_gpu.observations[2] - 0.1).abs() < 1e-6 && height < 0.1);
 }
+
+/// The caller passes another buffer with other contents each time.
+#[test]
+fn a_batch_that_keeps_observations_writes_every_row() {
+    let Some(device) = device("a_batch_that_keeps_observations_writes_every_row") else { return };
+    for autoreset in [Autoreset::Disabled, Autoreset::NextStep] {
+        let on_fault = OnFault::Truncate;
+        let config = VecConfig { autoreset, on_fault, keep_observations: true, ..VecConfig::new(3) };
+        let mut cpu = make_vec("hover", EnvConfig::default(), config).unwrap();
+        let mut gpu = gpu(&device, config);
+        let (mut on_cpu, mut on_gpu) = (VecBuffers::new(&*cpu), VecBuffers::new(&gpu));
+        let compare = |on_cpu: &mut VecBuffers, on_gpu: &mut VecBuffers, context: &str| {
+            for (a, b) in on_cpu.observations.iter().zip(&on_gpu.observations) {
+                assert!((a - b).abs() < 2e-3, "{context}: {:?} {:?}", on_cpu.observations, on_gpu.observations);
+            }
+            on_cpu.observations.fill(f32::NAN);
+            on_gpu.observations.fill(f32::NAN);
+        };
+        // the last environment has no episode yet
+        cpu.reset_where(&[true, true, false], Some(1), &mut on_cpu.observations).unwrap();
+        gpu.reset_where(&[true, true, false], Some(1), &mut on_gpu.observations).unwrap();
+        compare(&mut on_cpu, &mut on_gpu, "reset");
+        for step in 0..14 {
+            // the first drone falls
+            let actions = [-1.0, -1.0, -1.0, -1.0, 0.1, 0.1, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0];
+            cpu.step(&actions, on_cpu.step()).unwrap();
+            gpu.step(&actions, on_gpu.step()).unwrap();
+            // the contact slows the drone on the CPU alone
+            if on_cpu.terminated[0] {
+                break;
+            }
+            compare(&mut on_cpu, &mut on_gpu, &format!("{autoreset:?}, step {step}"));
+        }
+        let last = on_gpu.observations[..12].to_vec();
+        if autoreset == Autoreset::Disabled {
+            on_gpu.observations.fill(f32::NAN);
+            gpu.step(&[0.0; 12], on_gpu.step()).unwrap();
+            assert_eq!(on_gpu.observations[..12], last);
+        }
+        on_gpu.observations.fill(f32::NAN);
+        gpu.reset_where(&[false, true, false], None, &mut on_gpu.observations).unwrap();
+        assert!(on_gpu.observations.iter().all(|number| number.is_finite()));
+        assert_eq!(on_gpu.observations[24..], [0.0; 12]);
+    }
+}

@@ -10,7 +10,7 @@ use aviary::env::{BodyRanges, Randomization};
 use aviary::physics::Physics;
 use aviary::policy::Activation;
 use aviary_gpu::{GpuDevice, GpuError, GpuPpo};
-use learn::{Learner as _, Stop, TrainConfig, TrainDevice, TrainError, Trainer};
+use learn::{Learner as _, Running, Stop, TrainConfig, TrainDevice, TrainError, Trainer, TrainingStart};
 use support::device;
 
 /// Returns the configuration of a short run.
@@ -162,7 +162,61 @@ fn options_that_the_kernels_do_not_have_are_errors_of_one_line() {
     config.ppo.hidden = vec![256; 7];
     config.ppo.minibatch = 1 << 24;
     let many = error(&config);
-    assert!(matches!(many, GpuError::TooManyEnvironments { got: 1_048_576, .. }), "{many}");
+    assert!(matches!(many, GpuError::TooLarge { option: "environments × horizon", got: 0x400_0000, .. }), "{many}");
+    let config = TrainConfig { device: TrainDevice::Cpu, ..small("hover") };
+    assert_eq!(error(&config).to_string(), "device is cpu, expected gpu on the GPU");
+    let mut config = small("hover");
+    config.ppo.horizon = 0;
+    assert_eq!(error(&config).to_string(), "horizon is 0, expected a positive number that fits in memory");
+}
+
+/// A start that overlaps another drone, or is too close to the floor, would need a second sample.
+#[test]
+fn starts_that_need_a_second_sample_are_errors() {
+    let Some(device) = device("starts_that_need_a_second_sample_are_errors") else { return };
+    let error = |config: &TrainConfig| GpuPpo::new(config, &device).map(|_| ()).unwrap_err().to_string();
+    let expected = "expected drones whose random starts cannot meet on the GPU";
+    // the recipe itself has such starts
+    let formation = error(&small("formation"));
+    assert!(formation.starts_with("initial_positions is 0.") && formation.ends_with(expected), "{formation}");
+    let mut config = TrainConfig { per_drone: false, ..small("multi_hover") };
+    config.conditions.randomization = None;
+    config.training_starts = vec![TrainingStart { position: 0.1, ..TrainingStart::default() }];
+    GpuPpo::new(&config, &device).unwrap();
+    config.training_starts.push(TrainingStart { position: 0.9, ..TrainingStart::default() });
+    let far = error(&config);
+    assert!(far.starts_with("initial_positions is 0.") && far.ends_with(expected), "{far}");
+    let mut config = small("stabilize");
+    config.training_starts = vec![TrainingStart { offset: [0.0, 0.0, -5.0], ..TrainingStart::default() }];
+    let low = error(&config);
+    assert!(low.starts_with("initial_positions is ") && low.contains("above the floor"), "{low}");
+}
+
+/// The weights of both statistics come from the other run, whatever its number of samples.
+#[test]
+fn a_run_that_starts_from_another_one_keeps_its_scales() {
+    let Some(device) = device("a_run_that_starts_from_another_one_keeps_its_scales") else { return };
+    let config = small("hover");
+    let mut learner = GpuPpo::new(&config, &device).unwrap();
+    assert!(!learner.has_scales());
+    let mut state = learner.state().unwrap();
+    // fewer samples than half a rollout of 1024; those of the rewards outweigh it
+    state.observations = Running::of(100.0, vec![0.5; 12], &[4.0; 12]);
+    state.rewards = Running::of(1e9, vec![-3.0], &[9.0]);
+    learner.restore(state).unwrap();
+    assert!(learner.has_scales());
+    let state = learner.state().unwrap();
+    assert_eq!((state.observations.count(), state.rewards.count()), (100.0, 1e9));
+    assert_eq!((state.observations.means(), state.observations.variances()), (&[0.5; 12][..], vec![4.0; 12]));
+    learner.restart(1).unwrap();
+    learner.iterate(2).unwrap();
+    let state = learner.state().unwrap();
+    assert_eq!((state.observations.count(), state.rewards.count()), (1124.0, 1e9 + 1024.0));
+    // x has the mean 0 in this rollout
+    let x = state.observations.means()[0];
+    assert!(x > 0.0 && x < 0.1, "{x}");
+    let (mean, variance) = (state.rewards.means()[0], state.rewards.variances()[0]);
+    assert!((mean + 3.0).abs() < 1e-3 && (variance - 9.0).abs() < 1e-3, "{mean} {variance}");
 }
 
 #[test]

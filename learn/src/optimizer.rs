@@ -6,10 +6,10 @@ use pulp::{Simd, WithSimd};
 use crate::gradient::run;
 
 /// Decay rates of the moments, β₁ and β₂.
-const DECAY: [f32; 2] = [0.9, 0.999];
+pub const DECAY: [f32; 2] = [0.9, 0.999];
 
 /// Lower bound of the step's denominator, ε.
-const EPSILON: f32 = 1e-5;
+pub const EPSILON: f32 = 1e-5;
 
 /// State of Adam: number of steps, first and second moments.
 #[derive(Debug, Clone, PartialEq)]

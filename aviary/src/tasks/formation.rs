@@ -78,10 +78,10 @@ impl Default for Formation {
 
 impl Formation {
     /// Mean distance from the slots below which the task succeeds, m.
-    const KEPT: f64 = 0.05;
+    pub const KEPT: f64 = 0.05;
 
     /// Length of the path below which the centre stands still, m.
-    const MIN_LAP: f64 = 1e-6;
+    pub const MIN_LAP: f64 = 1e-6;
 
     /// Distance from the start of a side within which the lanes leave the step to the scalar task, m.
     const MARGIN: f64 = 1e-6;

@@ -113,12 +113,12 @@ impl Case {
 
 /// Measures batches on a GPU, and prints them.
 pub(super) fn run(bench: &Bench) -> Result<(), Failure> {
-    let device = GpuDevice::open(bench.adapter.as_deref()).map_err(Failure::input)?;
+    let device = GpuDevice::open(bench.adapter.as_deref())?;
     let seconds = if bench.quick { 0.3 } else { 1.0 };
-    let (mut rows, bandwidth) = (Vec::new(), bandwidth(&device).map_err(Failure::work)?);
+    let (mut rows, bandwidth) = (Vec::new(), bandwidth(&device)?);
     let launch =
         Case { task: "hover", conditions: Conditions::Plain, precision: Precision::Single, drones: 1, environments: 1 };
-    let launch = launch.measure(&device, seconds).map_err(Failure::work)?.resident.recip();
+    let launch = launch.measure(&device, seconds)?.resident.recip();
     // before the batches of the device, one of which may fail
     let cpu = on_the_cpu(seconds).map_err(Failure::work)?;
     let mut failure = None;
@@ -129,7 +129,7 @@ pub(super) fn run(bench: &Bench) -> Result<(), Failure> {
             Err(GpuError::TooManyEnvironments { .. }) => {}
             // the rows so far are printed; a device that has failed measures no more
             Err(error) => {
-                failure = Some(Failure::work(error));
+                failure = Some(error.into());
                 break;
             }
         }

@@ -26,7 +26,7 @@ const FILES: [&str; 5] = [CHECKPOINT, POLICY, CURVE, "curve.svg", "curve.png"];
 /// Refuses a directory with files of an earlier run.
 pub(super) fn check_new(directory: &Path) -> Result<(), Failure> {
     let Some(name) = FILES.iter().find(|name| directory.join(name).exists()) else { return Ok(()) };
-    let resume = if *name == CHECKPOINT { format!("--resume {} or ", quoted(directory)) } else { String::new() };
+    let resume = if *name == CHECKPOINT { format!("--resume {} or ", quoted_path(directory)) } else { String::new() };
     Err(Failure::input(anyhow!(
         "{}: it has {name} of an earlier run, expected {resume}another --out",
         directory.display()
@@ -34,24 +34,30 @@ pub(super) fn check_new(directory: &Path) -> Result<(), Failure> {
 }
 
 /// Prints a line on standard error. A reader that has closed it is not an error.
-fn say(line: &str) {
+pub(super) fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 /// Returns a path quoted for a shell.
-fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
+fn quoted_path(path: &Path) -> String {
+    quoted(&path.display().to_string())
+}
+
+/// Returns a text quoted for a shell.
+pub(super) fn quoted(text: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "_-./+=:,@%".contains(c);
-    if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+    if !text.is_empty() && text.chars().all(plain) { text.into() } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }
 
 /// Additions to a run.
 #[derive(Clone, Copy)]
-pub(super) struct Extras {
+pub(super) struct Extras<'a> {
     /// A window.
     pub(super) view: bool,
     /// An event file for TensorBoard.
     pub(super) tensorboard: bool,
+    /// GPU of the training, as chosen.
+    pub(super) adapter: Option<&'a str>,
 }
 
 /// A run with its files.
@@ -62,16 +68,18 @@ pub(super) struct Run {
     saved: u64,
     window: Option<TrainingWindow>,
     events: Option<TensorboardWriter>,
+    /// GPU of the training, as chosen.
+    adapter: Option<String>,
 }
 
 impl Run {
     /// Starts a run in a directory without one.
-    pub(super) fn begin(trainer: Trainer, out: &Path, extras: Extras) -> Result<Self, Failure> {
+    pub(super) fn begin(trainer: Trainer, out: &Path, extras: Extras<'_>) -> Result<Self, Failure> {
         let out = OutputDir::create(out)?;
         check_new(out.path())?;
         // a window that cannot be opened leaves no files that refuse the next run
         let window = extras.view.then(|| TrainingWindow::open(&trainer)).transpose()?;
-        let mut run = Self { trainer, out, saved: 0, window, events: None };
+        let mut run = Self { trainer, out, saved: 0, window, events: None, adapter: extras.adapter.map(Into::into) };
         run.begin_events(extras)?;
         run.save_policy()?;
         run.save_checkpoint()?;
@@ -83,7 +91,7 @@ impl Run {
         trainer: Trainer,
         directory: &Path,
         locked: Option<OutputDir>,
-        extras: Extras,
+        extras: Extras<'_>,
     ) -> Result<Self, Failure> {
         let Some(out) = locked.filter(|_| trainer.stop().is_none()) else {
             let steps = trainer.steps();
@@ -93,7 +101,7 @@ impl Run {
             )));
         };
         let window = extras.view.then(|| TrainingWindow::open(&trainer)).transpose()?;
-        let mut run = Self { trainer, out, saved: 0, window, events: None };
+        let mut run = Self { trainer, out, saved: 0, window, events: None, adapter: extras.adapter.map(Into::into) };
         run.begin_events(extras)?;
         // the checkpoint has the number of steps, which may have changed
         run.save_checkpoint()?;
@@ -101,7 +109,7 @@ impl Run {
     }
 
     /// Creates the event file, if the run has one, with the iterations so far.
-    fn begin_events(&mut self, extras: Extras) -> Result<(), Failure> {
+    fn begin_events(&mut self, extras: Extras<'_>) -> Result<(), Failure> {
         if extras.tensorboard {
             let file = self.out.path().join(TensorboardWriter::NAME);
             let begin = || {
@@ -186,8 +194,7 @@ impl Run {
             0 => String::new(),
             _ => format!(" and repeats {} steps", steps - saved),
         };
-        let (name, resume) =
-            (signal_hook::low_level::signal_name(signal).unwrap_or("a signal"), quoted(self.out.path()));
+        let (name, resume) = (signal_hook::low_level::signal_name(signal).unwrap_or("a signal"), self.resume_options());
         match self.save_curve() {
             Ok(()) => Failure::work(Interruption {
                 signal,
@@ -196,6 +203,15 @@ impl Run {
                 ),
             }),
             Err(failure) => failure,
+        }
+    }
+
+    /// Returns the options that continue the run.
+    fn resume_options(&self) -> String {
+        let directory = quoted_path(self.out.path());
+        match &self.adapter {
+            Some(adapter) => format!("{directory} --adapter {}", quoted(adapter)),
+            None => directory,
         }
     }
 

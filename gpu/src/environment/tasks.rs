@@ -1,6 +1,7 @@
 //! Start, reward, end and observation of the tasks, for one drone.
 
 use aviary::env::EndReason;
+use aviary::tasks::Formation;
 use flight::math::V3;
 use flight::state::FlightState;
 use flight::tasks::formation::Side;
@@ -45,9 +46,6 @@ pub(super) struct Evaluation<N: Number> {
     /// Number that the drones of a world add up, for [`world_success`].
     pub share: N,
 }
-
-/// Error of a formation below which the task succeeds, m.
-const FORMATION_KEPT: f64 = 0.05;
 
 /// Returns the number that belongs to a drone.
 fn of_drone<N: Number>(drone: N::Word, like: N, list: &[f64]) -> N {
@@ -167,9 +165,7 @@ fn slot<N: Number>(offset: V3<N>, path: &[[f64; 3]], speed: f64, time: N) -> V3<
         (0..3).map(|axis| (to[axis] - from[axis]).powi(2)).sum::<f64>().sqrt()
     };
     let lap: f64 = (0..path.len()).map(length).sum();
-    /// Length of the path below which the centre stands still, m.
-    const MIN_LAP: f64 = 1e-6;
-    if lap < MIN_LAP {
+    if lap < Formation::MIN_LAP {
         return vector(path[0]) + offset;
     }
     let distance = time * speed;
@@ -273,7 +269,7 @@ pub(super) fn world_success<N: Number>(plan: &Plan, share: N, steps: N) -> Optio
     match *plan.task {
         KernelTask::Formation { .. } => {
             let mean = share / (steps * f64::from(plan.drones));
-            Some(mean.less(mean.all(FORMATION_KEPT)))
+            Some(mean.less(mean.all(Formation::KEPT)))
         }
         _ => None,
     }

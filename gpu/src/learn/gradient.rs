@@ -10,7 +10,7 @@
 //! Every sum has a fixed order, so that equal inputs give equal bits on a device.
 
 use cubecl::prelude::*;
-use learn::LOG_DEVIATIONS;
+use learn::{DECAY, LOG_DEVIATIONS, MAX_LOG_RATIO};
 
 use super::network::{Columns, Networks, backward, forward, read_observation};
 use super::noise::permuted;
@@ -34,16 +34,6 @@ pub(super) const LOSSES: usize = 4;
 
 /// Rows of the tally: squares of the gradient, loss, KL divergence, clipped ratios; [`LANES`] numbers each.
 pub(super) const TALLY: usize = 4;
-
-/// Bound of the absolute log-ratio of new and old action probabilities. A sample beyond it has the ratio exp(±20) and
-/// no gradient; without the bound, exp overflows at 88.
-const MAX_LOG_RATIO: f32 = 20.0;
-
-/// Decay rates of the moments of Adam, β₁ and β₂.
-pub(super) const DECAY: [f32; 2] = [0.9, 0.999];
-
-/// Lower bound of the denominator of a step of Adam, ε.
-pub(super) const EPSILON: f32 = 1e-5;
 
 /// Largest square of the norm of a finite gradient.
 const MAX_SQUARE: f32 = 1e37;

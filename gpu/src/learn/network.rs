@@ -5,13 +5,10 @@
 
 use aviary::policy::{Activation, Mlp};
 use cubecl::prelude::*;
-use learn::NetworkShape;
+use learn::{CLIP, NetworkShape};
 
 /// Neurons that a thread computes at a time, in registers.
 const BLOCK: usize = 8;
-
-/// Bound of normalized observations and scaled rewards.
-pub(super) const CLIP: f32 = 10.0;
 
 /// Columns of the scratch matrix that a thread computes: `first`, `first + stride`, …, as many as the comptime argument
 /// of the functions.

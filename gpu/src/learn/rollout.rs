@@ -2,8 +2,9 @@
 
 use aviary::env::EndReason;
 use cubecl::prelude::*;
+use learn::CLIP;
 
-use super::network::{CLIP, Columns, Networks, clamped, forward, read_observation};
+use super::network::{Columns, Networks, clamped, forward, read_observation};
 use super::noise::normal;
 use crate::environment::end;
 use crate::plan::code_of;

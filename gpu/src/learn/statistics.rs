@@ -79,24 +79,28 @@ pub(super) fn merge_kernel(partial: &[f32], moments: &mut [f32], #[comptime] col
 /// per entry of an observation, and one for the rewards.
 ///
 /// `running` has the means of the observations and of the discounted sums of rewards, and then their variances.
-/// `share` is the share of the rollout in all of them.
+/// The shares are those of the rollout in all observations and in all rewards.
 #[cube(launch_unchecked)]
+#[allow(clippy::too_many_arguments)] // the buffers of a kernel
 pub(super) fn scale_kernel(
     observations: &[f32],
     rewards: &[f32],
     running: &mut [f32],
     scale: &mut [f32],
-    share: f32,
+    share_of_observations: f32,
+    share_of_rewards: f32,
     #[comptime] size: usize,
 ) {
     if ABSOLUTE_POS < size {
         let entry = ABSOLUTE_POS;
         let first = entry * MOMENTS;
-        add_moments(running, entry, observations[first], observations[first + 1], observations[first + 2], share, size);
+        let (count, mean, squares) = (observations[first], observations[first + 1], observations[first + 2]);
+        add_moments(running, entry, count, mean, squares, share_of_observations, size);
     } else if ABSOLUTE_POS == size {
         // the discounted sums are the second column
         let first = comptime!(MOMENTS);
-        add_moments(running, ABSOLUTE_POS, rewards[first], rewards[first + 1], rewards[first + 2], share, size);
+        let (count, mean, squares) = (rewards[first], rewards[first + 1], rewards[first + 2]);
+        add_moments(running, ABSOLUTE_POS, count, mean, squares, share_of_rewards, size);
     }
     if ABSOLUTE_POS <= size {
         set_scale(running, scale, ABSOLUTE_POS, size);

@@ -4,7 +4,7 @@ use aviary::policy::{Activation, Mlp};
 use learn::LOG_DEVIATIONS;
 use rand_distr::StandardNormal;
 
-use super::gradient::{DIVERGED, RATE};
+use super::gradient::{DIVERGED, LANES, RATE, TALLY};
 use super::noise::{normal_kernel, permutation_kernel};
 use super::rollout::{ABSENT, RUNNING, TERMINATED, TRUNCATED};
 use super::*;
@@ -383,6 +383,7 @@ fn running_statistics_match_those_of_all_rows() {
             running.arg(),
             scale.arg(),
             1.0 / rollout as f32,
+            1.0 / rollout as f32,
             size
         );
         all[0].extend(observations);
@@ -476,6 +477,7 @@ fn orders_of_samples_are_permutations() {
 fn a_rollout_has_the_actions_values_and_ends_of_its_policy() {
     let Some(device) = crate::device::for_tests() else { return };
     let mut config = TrainConfig::of_task("hover").unwrap();
+    config.device = TrainDevice::Gpu;
     (config.ppo.environments, config.ppo.horizon) = (100, 24);
     config.episode_seconds = Some(0.25);
     config.training_starts.clear();

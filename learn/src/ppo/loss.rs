@@ -11,7 +11,7 @@ use crate::network::NetworkShape;
 
 /// Bound of the absolute log-ratio of new and old action probabilities. A row beyond it has the ratio exp(±20) and
 /// no gradient; without the bound, exp overflows at 88.
-const MAX_LOG_RATIO: f32 = 20.0;
+pub const MAX_LOG_RATIO: f32 = 20.0;
 
 /// Rows of experience.
 #[derive(Debug, Clone, Copy)]

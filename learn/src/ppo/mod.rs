@@ -32,6 +32,7 @@ use serde::{Deserialize, Serialize};
 
 pub(crate) use config::PartialPpo;
 pub use config::PpoConfig;
+pub use loss::MAX_LOG_RATIO;
 
 use self::loss::{Networks, Sums};
 use self::rollout::Experience;
@@ -54,7 +55,7 @@ fn shard_sequences(horizon: usize) -> usize {
 }
 
 /// Bound of normalized observations and scaled rewards.
-const CLIP: f32 = 10.0;
+pub const CLIP: f32 = 10.0;
 
 /// Wall time by activity.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
