@@ -247,7 +247,7 @@ fn a_step_that_fails_to_start_an_episode_is_not_counted() {
             match batch.episode_summary(8) {
                 Some(summary) => {
                     assert!(buffers.truncated[8] && !buffers.terminated[8]);
-                    let kept = autoreset == Autoreset::SameStep && summary.end != Some(EndReason::Fault);
+                    let kept = summary.end != Some(EndReason::Fault);
                     assert_eq!(batch.final_info(8).map(|info| info.end), kept.then_some(summary.end));
                     ends.push((summary.end.unwrap(), summary.steps));
                     steps += u32::from(summary.end != Some(EndReason::Fault));

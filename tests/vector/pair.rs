@@ -100,8 +100,8 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
             if let Some(summary) = summary {
                 assert_eq!((summary.success, summary.steps), (info.success, control_steps), "{context}");
                 self.ended += 1;
+                assert_eq!(self.batch.final_info(i), Some(&info), "{context}: the last info");
                 if autoreset == Autoreset::SameStep {
-                    assert_eq!(self.batch.final_info(i), Some(&info), "{context}: the last info");
                     self.write_row(i);
                     let last = &self.batch.final_observations()[self.row.len() * i..][..self.row.len()];
                     assert_eq!(bits(last), bits(&self.row), "{context}: the last observation");

@@ -385,7 +385,7 @@ impl<T: Task + Clone> Environments<T> {
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],
             kept_observations: vec![0.0; model.observation_size * if model.keep_observations { count } else { 0 }],
             finals: vec![0.0; model.observation_size * finals],
-            final_infos: vec![None; finals],
+            final_infos: vec![None; count],
             final_images: if model.images == [0; 3] { Vec::new() } else { vec![None; finals] },
         }
     }

@@ -519,8 +519,7 @@ pub trait VecEnv: Send {
 
     /// Returns the state of the episode that ended in the last step of an environment, as
     /// [`Env::info`](crate::env::Env::info) returned it at the end of the episode. Returns `None` if no episode ended, if
-    /// it could not start, if a change of the task has made its options invalid, or unless the batch uses
-    /// [`Autoreset::SameStep`].
+    /// it could not start, or if a change of the task has made its options invalid.
     fn final_info(&self, environment: usize) -> Option<&Info>;
 
     /// Returns the present state of a drone: the numbers of [`kinematic`](crate::observation::kinematic) with the motor

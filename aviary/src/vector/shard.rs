@@ -146,7 +146,7 @@ pub(super) struct Environments<T> {
     pub kept_observations: Vec<f32>,
     /// Last observations of the episodes that ended in the last step.
     pub finals: Vec<f32>,
-    /// Infos at the ends of these episodes.
+    /// Infos at the ends of the last episodes.
     pub final_infos: Vec<Option<Info>>,
     /// Last observations with images of the episodes that ended, if the batch observes images and resets in the same
     /// step.

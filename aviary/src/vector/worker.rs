@@ -394,12 +394,10 @@ impl<T: Task> Worker<T> {
         let slot = &mut shard.envs.slots[index];
         slot.summary = Some(EpisodeSummary { end: Some(reason), success, steps, reward });
         slot.episode.finish(reason);
-        if model.autoreset == Autoreset::SameStep {
-            let parts = slot.parts(&mut self.env, Some(&mut self.grounded[lane]));
-            // a task with invalid options must not be evaluated
-            let info = (!parts.episode.task_changed).then(|| Info { success, ..parts.episode.info(parts.view()) });
-            shard.envs.final_infos[index] = info;
-        }
+        let parts = slot.parts(&mut self.env, Some(&mut self.grounded[lane]));
+        // a task with invalid options must not be evaluated
+        let info = (!parts.episode.task_changed).then(|| Info { success, ..parts.episode.info(parts.view()) });
+        shard.envs.final_infos[index] = info;
         self.observe(model, shard, index, Some(lane), faults);
         self.store_task(model, shard, index, Some(lane));
         if model.autoreset == Autoreset::SameStep {
@@ -431,10 +429,10 @@ impl<T: Task> Worker<T> {
         let summary = EpisodeSummary { end: Some(EndReason::Fault), success: false, steps: 0, reward: 0.0 };
         shard.envs.slots[index].summary = Some(summary);
         shard.envs.blocks[index / LANES].ended[index % LANES] = true;
+        // that of an earlier episode
+        shard.envs.final_infos[index] = None;
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
-            // those of an earlier episode
-            shard.envs.final_infos[index] = None;
             if let Some(images) = shard.envs.final_images.get_mut(index) {
                 *images = None;
             }
