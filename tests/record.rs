@@ -172,6 +172,36 @@ fn a_recorded_environment_writes_a_new_file_per_episode_and_overwrites_none() {
 }
 
 #[test]
+fn the_file_of_one_drone_is_a_flight_of_one_drone() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut env = Recorded::new(MultiHover::builder().num_drones(3).build().unwrap(), directory.path()).unwrap();
+    env.reset(Some(1)).unwrap();
+    env.step(&[0.1; 12]).unwrap();
+    env.end_episode();
+    env.step(&[0.1; 12]).unwrap();
+    let whole = Flight::read_episode(directory.path(), 0).unwrap();
+    assert_eq!(whole.drones.len(), 3);
+    for (drone, samples) in whole.drones.iter().enumerate() {
+        assert_eq!(samples.len(), 2, "the step after the end of the files is not recorded");
+        let path = directory.path().join(format!("episode_0000_drone{drone}.csv"));
+        assert!(!std::fs::read_to_string(&path).unwrap().ends_with("\n\n"), "the file has ended");
+        assert_eq!(Flight::read(path).unwrap().drones, std::slice::from_ref(samples));
+    }
+}
+
+#[test]
+fn a_log_that_cannot_be_written_is_an_error_of_the_system() {
+    let directory = tempfile::tempdir().unwrap();
+    let folder = directory.path().join("flights");
+    let mut env = Recorded::new(Hover::builder().build().unwrap(), &folder).unwrap();
+    std::fs::remove_dir(&folder).unwrap();
+    let error = env.reset(Some(1)).unwrap_err();
+    let EnvError::File { path, error } = &error else { panic!("{error}") };
+    assert_eq!(*path, folder.join("episode_0000_drone0.csv"));
+    assert!(matches!(&**error, EnvError::System(error) if error.kind() == std::io::ErrorKind::NotFound));
+}
+
+#[test]
 fn a_flight_after_a_restore_is_recorded_as_a_new_episode() {
     let directory = tempfile::tempdir().unwrap();
     let mut env = Recorded::new(Hover::builder().episode_seconds(0.25).build().unwrap(), directory.path()).unwrap();

@@ -76,7 +76,7 @@ pub enum EnvError {
     /// A file that the system cannot read or write.
     #[error(transparent)]
     System(#[from] SystemError),
-    /// A file without valid conditions.
+    /// A file that the system cannot read or write, or without valid content.
     #[error("{}: {error}", path.display())]
     File {
         /// Path of the file.

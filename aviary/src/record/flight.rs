@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::RecordError;
 use super::files::file_of;
+use super::recorded::prefix;
 use super::table::{self, Row};
 use crate::control::Reference;
 use crate::env::DroneEnv;
@@ -114,8 +115,8 @@ impl Flight {
 
     /// Reads a flight. `path` is a directory with the files `drone0.csv`, `drone1.csv`, … of a
     /// [`Recorder`](super::Recorder), which may still be writing them, or one [table](super::COLUMNS) with the rows
-    /// of all drones, such as the table of a replay. The reader skips an unfinished row of a program that was
-    /// killed.
+    /// of all drones, such as the table of a replay. The flight of a table with the rows of one drone, such as
+    /// `drone1.csv`, has one drone. The reader skips an unfinished row of a program that was killed.
     ///
     /// The columns of the state and of the motor speeds are required, in any order. If the table has no
     /// acceleration, the reader computes it from the velocities; a missing reward is 0. The reader also accepts
@@ -140,6 +141,14 @@ impl Flight {
             drones.push(read_drone(&file(drones.len()), drones.len())?);
         }
         Ok(Self { drones })
+    }
+
+    /// Reads an episode from the directory of a [`Recorded`](super::Recorded).
+    ///
+    /// # Errors
+    /// Returns the errors of [`read`](Self::read).
+    pub fn read_episode(directory: impl AsRef<Path>, episode: u64) -> Result<Self, RecordError> {
+        Self::read_named(directory, &prefix(episode))
     }
 }
 
@@ -166,11 +175,14 @@ fn read_drone(path: &Path, drone: usize) -> Result<Vec<Sample>, RecordError> {
     Ok(samples)
 }
 
-/// Reads one file with the rows of all drones.
+/// Reads one file with the rows of all drones, or of one of them.
 fn read_table(path: &Path) -> Result<Flight, RecordError> {
     let mut drones: Vec<Vec<Sample>> = Vec::new();
-    for row in rows(path)? {
-        let drone = row.drone.unwrap_or(0);
+    let rows = rows(path)?;
+    // the file of one drone has the index of this drone in every row
+    let first = rows.first().and_then(|row| row.drone).filter(|_| rows.iter().all(|row| row.drone == rows[0].drone));
+    for row in rows {
+        let drone = row.drone.unwrap_or(0) - first.unwrap_or(0);
         if drone > drones.len() {
             let expected = drones.len();
             return Err(wrong(path, row.line, format!("drone is {drone}, expected one up to {expected}")));

@@ -8,8 +8,8 @@ use crate::wrappers::Wrapper;
 
 /// A wrapper that writes every episode of an environment as CSV into a directory (the paper's `output_folder`). The
 /// files are `episode_0000_drone0.csv`, …, with the next free episode numbers. If a row cannot be written, the step
-/// returns an error although the environment has advanced. [`Recorder`] describes the content of the files and
-/// their state after a crash.
+/// returns an [`EnvError::File`] around an [`EnvError::System`] although the environment has advanced. [`Recorder`]
+/// describes the content of the files and their state after a crash.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -21,7 +21,7 @@ use crate::wrappers::Wrapper;
 /// let mut env = Recorded::new(Hover::builder().build()?, directory)?;
 /// env.reset(Some(1))?;
 /// let reward = env.step(&[0.1; 4])?.reward;
-/// let flight = Flight::read_named(directory, "episode_0000_")?;
+/// let flight = Flight::read_episode(directory, 0)?;
 /// assert_eq!(flight.drones[0].len(), 2);
 /// assert_eq!(flight.drones[0][1].reward, reward);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -55,6 +55,11 @@ impl<E: DroneEnv> Recorded<E> {
         &mut self.env
     }
 
+    /// Ends the files of the running episode. The environment continues, and the next reset begins the next files.
+    pub fn end_episode(&mut self) {
+        self.recorder = None;
+    }
+
     /// Returns the wrapped environment and stops recording.
     pub fn into_inner(self) -> E {
         self.env
@@ -76,13 +81,18 @@ impl<E: DroneEnv> Recorded<E> {
     }
 }
 
-fn prefix(episode: u64) -> String {
+/// Returns the start of the names of an episode's files.
+pub(super) fn prefix(episode: u64) -> String {
     format!("episode_{episode:04}_")
 }
 
-/// Converts an error of the directory to an option error, because the user chooses the directory.
-fn unwritable(error: &RecordError) -> EnvError {
-    EnvError::Option { option: "directory", got: error.to_string(), expected: "a writable directory" }
+/// Converts an error of a recording: that of a file to an error of the system with the path of the file.
+fn unwritable(error: RecordError) -> EnvError {
+    let system = |error: std::io::Error| EnvError::System(error.into());
+    match error {
+        RecordError::File { path, error } => EnvError::File { path, error: Box::new(system(error)) },
+        error => system(std::io::Error::other(error.to_string())),
+    }
 }
 
 impl<E: DroneEnv> Wrapper for Recorded<E> {
@@ -99,7 +109,7 @@ impl<E: DroneEnv> Wrapper for Recorded<E> {
     fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {
         this.recorder = None;
         this.env.reset(seed)?;
-        this.begin().map_err(|error| unwritable(&error))?;
+        this.begin().map_err(unwritable)?;
         Ok(this.env.observation())
     }
 
@@ -109,7 +119,7 @@ impl<E: DroneEnv> Wrapper for Recorded<E> {
         this.recorder = None;
         this.env.restore(snapshot)?;
         if this.env.info().end.is_none() {
-            this.begin().map_err(|error| unwritable(&error))?;
+            this.begin().map_err(unwritable)?;
         }
         Ok(())
     }
@@ -121,7 +131,7 @@ impl<E: DroneEnv> Wrapper for Recorded<E> {
             // a wrapper inside may have changed the reward, which for a single drone is the reward of that drone
             let alone = env.simulation().num_drones() == 1;
             let of = |drone| (if alone { reward } else { env.drone_reward(drone) }, Some(env.reference(drone)));
-            recorder.record_with(env.simulation(), of).map_err(|error| unwritable(&error))?;
+            recorder.record_with(env.simulation(), of).map_err(unwritable)?;
         }
         if terminated || truncated {
             this.recorder = None;
