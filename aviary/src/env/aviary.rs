@@ -394,6 +394,10 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
         if self.has_stepped() { self.episode.reward_terms_of(self.simulation.view(), drone) } else { Vec::new() }
     }
 
+    fn gates(&self) -> Vec<[f64; 4]> {
+        self.episode.task.gates()
+    }
+
     fn action_type(&self) -> ActionType {
         self.model.action_type
     }

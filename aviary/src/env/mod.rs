@@ -340,6 +340,23 @@ pub trait DroneEnv: Env {
     /// Returns the present reference. A controller that follows it fulfils the task.
     fn reference(&self, drone: usize) -> Reference;
 
+    /// Returns the present poses of the gates of a race, in their order: the centre (world frame, m) and the direction
+    /// of the normal, rad from x. The list is empty for a task without gates.
+    ///
+    /// ```
+    /// use aviary::env::{DroneEnv, Env};
+    /// use aviary::tasks::Race;
+    ///
+    /// let mut env = Race::builder().task(|race| race.randomization.position = 0.1).build()?;
+    /// env.reset(Some(1))?;
+    /// let [x, y, z, _] = env.gates()[0];
+    /// assert!([x - 1.0, y, z - 1.0].into_iter().all(|offset| offset != 0.0 && offset.abs() <= 0.1));
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    fn gates(&self) -> Vec<[f64; 4]> {
+        Vec::new()
+    }
+
     /// Returns a trajectory that fulfils the task from the present state of a drone, for controllers; `None` if
     /// following [`reference`](Self::reference) fulfils the task.
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {

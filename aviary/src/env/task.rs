@@ -195,6 +195,12 @@ pub trait Task: std::fmt::Debug + 'static {
         Vec::new()
     }
 
+    /// Returns the present poses of the gates: the centre (world frame, m) and the direction of the normal, rad from x.
+    /// By default, a task has no gates.
+    fn gates(&self) -> Vec<[f64; 4]> {
+        Vec::new()
+    }
+
     /// Writes a drone's observation.
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]);
 

@@ -232,4 +232,12 @@ impl<T: Task + Clone + Send + Sync> ParallelEnv for ParallelAviary<T> {
     fn simulation(&self) -> &Simulation {
         self.env.simulation()
     }
+
+    fn drone_env(&self) -> &dyn DroneEnv {
+        &self.env
+    }
+
+    fn drone_env_mut(&mut self) -> &mut dyn DroneEnv {
+        &mut self.env
+    }
 }

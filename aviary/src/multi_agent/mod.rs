@@ -8,7 +8,7 @@ pub use checker::check_parallel_env;
 
 use std::sync::Arc;
 
-use crate::env::{BoxSpace, EndReason, EnvConfig, EnvError, ObservationSpace};
+use crate::env::{BoxSpace, DroneEnv, EndReason, EnvConfig, EnvError, ObservationSpace};
 use crate::observation::Observation;
 use crate::simulation::Simulation;
 use crate::tasks::for_task;
@@ -192,4 +192,22 @@ pub trait ParallelEnv {
 
     /// Returns the underlying simulation.
     fn simulation(&self) -> &Simulation;
+
+    /// Returns the underlying environment, in which one agent commands all drones: its metrics, the terms of rewards,
+    /// the sampled parameters.
+    ///
+    /// ```
+    /// use aviary::env::EnvConfig;
+    /// use aviary::multi_agent::make_parallel;
+    ///
+    /// let mut env = make_parallel("race", EnvConfig::default().num_drones(2))?;
+    /// env.reset(Some(1))?;
+    /// assert_eq!(env.drone_env().info_map()["gates_passed"], 0.0);
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    fn drone_env(&self) -> &dyn DroneEnv;
+
+    /// Returns the underlying environment for changes of its wind, randomization or task options. The caller must not
+    /// step, reset or restore it.
+    fn drone_env_mut(&mut self) -> &mut dyn DroneEnv;
 }

@@ -185,6 +185,11 @@ pub trait Wrapper {
         Self::inner(this).reference(drone)
     }
 
+    /// Implements [`DroneEnv::gates`].
+    fn gates(this: &Self) -> Vec<[f64; 4]> {
+        Self::inner(this).gates()
+    }
+
     /// Implements [`DroneEnv::plan`].
     fn plan(this: &Self, drone: usize) -> Option<Box<dyn Trajectory>> {
         Self::inner(this).plan(drone)
@@ -349,6 +354,10 @@ impl<W: Wrapper> DroneEnv for W {
 
     fn reference(&self, drone: usize) -> Reference {
         <W as Wrapper>::reference(self, drone)
+    }
+
+    fn gates(&self) -> Vec<[f64; 4]> {
+        <W as Wrapper>::gates(self)
     }
 
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {

@@ -103,9 +103,14 @@ impl Race {
         y.atan2(x)
     }
 
+    /// Returns the yaw of a gate of the episode, rad.
+    pub(super) fn yaw(&self, gate: usize) -> f64 {
+        self.layout.get(gate).map_or_else(|| self.nominal_yaw(gate), |placed| placed.yaw)
+    }
+
     /// Returns the normal of a gate of the episode.
     pub(super) fn normal(&self, gate: usize) -> V3<f64> {
-        gates::normal(self.layout.get(gate).map_or_else(|| self.nominal_yaw(gate), |placed| placed.yaw))
+        gates::normal(self.yaw(gate))
     }
 
     /// Returns the gate without a randomization.

@@ -326,6 +326,10 @@ impl Task for Race {
         self.terms(simulation, drone, end)
     }
 
+    fn gates(&self) -> Vec<[f64; 4]> {
+        self.centres().iter().enumerate().map(|(gate, &[x, y, z])| [x, y, z, self.yaw(gate)]).collect()
+    }
+
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let (state, rpy) = observed(simulation, drone);
         race::observe(&state, rpy, [0, 1].map(|ahead| self.gate(drone, ahead).to_flight()), out);
