@@ -187,6 +187,11 @@ impl OnnxPolicy {
         }
     }
 
+    /// Returns true if the inputs are chosen entries of the observation, which may have any number of further entries.
+    pub fn has_indices(&self) -> bool {
+        self.indices.is_some()
+    }
+
     /// Returns true if the policy maps the observation of each drone to the action of this drone.
     fn is_per_drone(&self) -> bool {
         self.info.as_ref().is_some_and(|info| info.per_drone)
@@ -259,6 +264,50 @@ impl OnnxPolicy {
         let mut output = Vec::new();
         self.graph.evaluate(rows, inputs, &mut vec![0.0; rows * self.memory_size()], &mut output)?;
         Ok(output)
+    }
+
+    /// Computes the actions for rows of observations, each of them of one drone if the policy is per drone, with the
+    /// options that map observations and actions, and updates the memories of the rows. `memories` has
+    /// [`memory_size`](Self::memory_size) entries per row, which are zero at the start of an episode. `bounds` are the
+    /// lower and upper bounds of an action.
+    ///
+    /// ```
+    /// use aviary::policy::PolicyNetwork;
+    /// use policy_formats::onnx::{OnnxOptions, OnnxPolicy, to_bytes};
+    ///
+    /// let trained = PolicyNetwork::load("../assets/policies/hover.safetensors")?;
+    /// let policy = OnnxPolicy::from_bytes(to_bytes(&trained)?, &OnnxOptions::default())?;
+    /// let (observations, mut actions, mut expected) = ([0.1; 2 * 12], [0.0; 2 * 4], [0.0; 2 * 4]);
+    /// policy.forward(&observations, 2, &mut [], (&[-1.0; 4], &[1.0; 4]), &mut actions)?;
+    /// trained.forward(&observations, &mut expected);
+    /// assert!(actions.iter().zip(expected).all(|(action, expected)| (action - expected).abs() < 1e-5));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`FormatError::Onnx`] for lengths that do not fit, for a graph that cannot be evaluated, and for one that returns
+    /// another number of components.
+    pub fn forward(
+        &self,
+        observations: &[f64],
+        rows: usize,
+        memories: &mut [f32],
+        bounds: (&[f64], &[f64]),
+        actions: &mut [f64],
+    ) -> Result<(), FormatError> {
+        if rows == 0 || observations.is_empty() || !observations.len().is_multiple_of(rows) {
+            return Err(wrong(format_args!("{} observations are not {rows} rows of equal length", observations.len())));
+        }
+        let (entries, expected) = (observations.len() / rows, rows * self.memory_size());
+        if let Some(index) = self.indices.iter().flatten().find(|&&index| index >= entries) {
+            return Err(wrong(format_args!(
+                "an observation has {entries} entries, expected one with the index {index}"
+            )));
+        }
+        if memories.len() != expected {
+            return Err(wrong(format_args!("the memories have {} entries, expected {expected}", memories.len())));
+        }
+        self.evaluate(observations, rows, memories, (&mut Vec::new(), &mut Vec::new()), bounds, actions)
     }
 
     /// Computes the actions for the observations of several drones, row by row; `memories` has
