@@ -19,6 +19,7 @@ from mujoco_drones_gym.wrappers.wind import wind_options
 __all__ = [
     "Render",
     "action_numbers",
+    "camera_of",
     "check_reset_options",
     "drone_index",
     "flag",
@@ -31,6 +32,9 @@ __all__ = [
     "wind_options",
 ]
 
+#: Names of the cameras of `render`.
+CAMERAS = ("track", "fpv", "fixed", "front", "top")
+
 #: Names of points and of lists of points among the options.
 _POINTS = ("initial_xyzs", "initial_rpys", "waypoints", "gates")
 
@@ -41,6 +45,7 @@ class Render(NamedTuple):
     mode: str | None
     width: int
     height: int
+    camera: str
     output_folder: str | None
     vision_attributes: bool
 
@@ -85,6 +90,7 @@ def native_options(
         mode=_render_mode(own.pop("render_mode", None), own.pop("gui", False), has_window),
         width=_pixels("width", own.pop("width", 640)),
         height=_pixels("height", own.pop("height", 480)),
+        camera=camera_of("camera", own.pop("camera", "track")),
         output_folder=_folder(own.pop("output_folder", None)),
         vision_attributes=flag("vision_attributes", own.pop("vision_attributes", False)),
     )
@@ -144,6 +150,13 @@ def _pixels(name: str, value: Any) -> int:
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and 1 <= value <= 8192:
         return int(value)
     raise ValueError(f"{name} is {short(value)}, expected a number of pixels from 1 to 8192")
+
+
+def camera_of(name: str, value: Any) -> str:
+    """Returns the name of a camera."""
+    if isinstance(value, str) and value in CAMERAS:
+        return value
+    raise ValueError(f"{name} is {short(value)}, expected track, fpv, fixed, front or top")
 
 
 def _folder(value: Any) -> str | None:

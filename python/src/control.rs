@@ -4,7 +4,7 @@ use aviary::control::{
     AnyController, AttitudeGains, Bandwidths, Controller as _, ControllerKind, GeometricControl, Integrals, PidGains,
     PositionGains, Reference,
 };
-use aviary::drone::{DroneModel, DroneParams, GRAVITY};
+use aviary::drone::{DroneError, DroneModel, DroneParams, GRAVITY};
 use aviary::state::{DroneState, attitude_from_rpy, attitude_from_wxyz, wxyz};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use numpy::{PyArray1, PyReadonlyArray1};
@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 
 use crate::conditions::{python_of, section};
-use crate::error::{guard, value_error};
+use crate::error::{guard, system_error, value_error};
 
 /// Adds the classes and functions of this file to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -35,9 +35,7 @@ pub fn airframe(value: &Bound<'_, PyAny>) -> PyResult<DroneParams> {
             let name: String = name.extract()?;
             match name.parse::<DroneModel>() {
                 Ok(model) => model.params(),
-                Err(_) if name.ends_with(".toml") => {
-                    DroneParams::from_file(&name).map_err(|error| value_error(format_args!("drone_model: {error}")))?
-                }
+                Err(_) if name.ends_with(".toml") => DroneParams::from_file(&name).map_err(airframe_error)?,
                 Err(error) => return Err(value_error(format_args!("drone_model: {error}"))),
             }
         }
@@ -45,6 +43,17 @@ pub fn airframe(value: &Bound<'_, PyAny>) -> PyResult<DroneParams> {
     };
     params.validate().map_err(|error| value_error(format_args!("drone_model: {error}")))?;
     Ok(params)
+}
+
+/// Converts an error of an airframe file.
+fn airframe_error(error: DroneError) -> PyErr {
+    let message = format!("drone_model: {error}");
+    if let DroneError::File { error, .. } = &error
+        && let DroneError::System(system) = &**error
+    {
+        return system_error(system.kind(), message);
+    }
+    value_error(message)
 }
 
 /// Returns the parameters of an airframe and the constants derived from them.

@@ -1,11 +1,12 @@
 //! Environments of a single agent.
 
+use std::ops::{Deref, DerefMut};
 use std::path::PathBuf;
 use std::sync::Mutex;
 
 use aviary::action::MotorScale;
 use aviary::engine::EngineKind;
-use aviary::env::{BoxSpace, DroneEnv, EnvSnapshot};
+use aviary::env::{BoxSpace, DroneEnv, EnvError, EnvSnapshot};
 use aviary::observation::{KIN_SIZE, Observation, kinematic};
 use aviary::physics::battery::BatteryState;
 use aviary::record::Recorded;
@@ -19,7 +20,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyTuple, PyType};
 
 use crate::conditions;
-use crate::error::{env_error, guard, value_error};
+use crate::error::{env_error, guard, option_error, value_error};
 use crate::gil::without_gil;
 use crate::options::{env_config, task_options};
 use crate::vector::buffers::{Numbers, image_dict, to_vec, with_array};
@@ -34,7 +35,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 type Bounds<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
 
 /// Position, velocity and yaw.
-type Target<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, f64);
+pub type Target<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, f64);
 
 /// An environment in which one agent commands all drones. One thread at a time may use it.
 #[pyclass(module = "mujoco_drones_gym._native")]
@@ -43,8 +44,34 @@ pub struct Env {
     inner: Mutex<Inner>,
 }
 
+/// An environment whose episodes may be recorded.
+enum Recordable {
+    Plain(Box<dyn DroneEnv + Send>),
+    Recorded(Box<Recorded<Box<dyn DroneEnv + Send>>>),
+}
+
+impl Deref for Recordable {
+    type Target = dyn DroneEnv + Send;
+
+    fn deref(&self) -> &Self::Target {
+        match self {
+            Self::Plain(env) => &**env,
+            Self::Recorded(env) => &**env,
+        }
+    }
+}
+
+impl DerefMut for Recordable {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        match self {
+            Self::Plain(env) => &mut **env,
+            Self::Recorded(env) => &mut **env,
+        }
+    }
+}
+
 struct Inner {
-    env: Box<dyn DroneEnv + Send>,
+    env: Recordable,
     /// Space of the numbers of an observation.
     row: BoxSpace,
     /// True if an observation is the task's vector alone.
@@ -62,7 +89,7 @@ struct Inner {
 const MANY_DRONES: usize = 8;
 
 impl Inner {
-    fn new(env: Box<dyn DroneEnv + Send>) -> Self {
+    fn new(env: Recordable) -> Self {
         let (space, simulation) = (env.observation_space(), env.simulation());
         let kind = space.kind;
         let row = space.row();
@@ -83,11 +110,7 @@ impl Inner {
     }
 
     fn drone(&self, drone: usize) -> PyResult<usize> {
-        let count = self.simulation().num_drones();
-        if drone < count {
-            return Ok(drone);
-        }
-        Err(PyValueError::new_err(format!("drone {drone} does not exist, expected an index from 0 to {}", count - 1)))
+        checked_drone(self.simulation(), drone)
     }
 
     /// Calls a function of the environment, without the GIL if it takes long.
@@ -146,7 +169,7 @@ impl Inner {
 
     /// Returns the images of the onboard cameras: RGBA, depth and segmentation, drone after drone.
     fn onboard(&mut self, size: ImageSize) -> PyResult<Observation> {
-        let wrong = |error: aviary::env::EnvError| env_error(error);
+        let wrong = |error: EnvError| env_error(error);
         let simulation = self.env.simulation();
         let cameras = match &mut self.cameras {
             Some(cameras) => cameras,
@@ -190,6 +213,52 @@ pub fn info_dict<'py>(py: Python<'py>, env: &dyn DroneEnv) -> PyResult<Bound<'py
     Ok(dict)
 }
 
+/// Converts an error of a reset, of a step or of a restored state, whose files are those of the option
+/// `output_folder`.
+fn flight_error(error: EnvError) -> PyErr {
+    match error {
+        EnvError::File { .. } => option_error("output_folder", &error),
+        error => env_error(error),
+    }
+}
+
+/// Returns the metrics of an environment's task by name.
+pub fn metrics_dict<'py>(py: Python<'py>, env: &dyn DroneEnv) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    let mut done = Ok(());
+    env.metrics(&mut |name, value| {
+        if let Err(error) = dict.set_item(name, value) {
+            done = Err(error);
+        }
+    });
+    done.map(|()| dict)
+}
+
+/// Returns the terms of the reward of a drone in the last step by name.
+pub fn terms_dict<'py>(py: Python<'py>, env: &dyn DroneEnv, drone: usize) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    for (name, value) in env.reward_terms(drone) {
+        dict.set_item(name, value)?;
+    }
+    Ok(dict)
+}
+
+/// Returns position (m), velocity (m/s) and yaw (rad) of a drone's reference in the world frame.
+pub fn target<'py>(py: Python<'py>, env: &dyn DroneEnv, drone: usize) -> Target<'py> {
+    let reference = env.reference(drone);
+    let [position, velocity] = [reference.position, reference.velocity].map(|v| v.as_slice().to_pyarray(py));
+    (position, velocity, reference.yaw)
+}
+
+/// Returns the index of a drone, or an error if the simulation has fewer drones.
+pub fn checked_drone(simulation: &Simulation, drone: usize) -> PyResult<usize> {
+    let count = simulation.num_drones();
+    if drone < count {
+        return Ok(drone);
+    }
+    Err(PyValueError::new_err(format!("drone {drone} does not exist, expected an index from 0 to {}", count - 1)))
+}
+
 /// Returns the numbers of a battery: charge (0 to 1), voltage (V), current (A); NaN for none.
 pub fn battery_numbers(battery: Option<BatteryState>) -> [f64; 3] {
     battery.map_or([f64::NAN; 3], |BatteryState { charge, voltage, current }| [charge, voltage, current])
@@ -213,14 +282,14 @@ impl Env {
         let env = without_gil(py, || {
             guard(|| {
                 let env = make(task, config).map_err(env_error)?;
-                let Some(folder) = output_folder else { return Ok(env) };
+                let Some(folder) = output_folder else { return Ok(Recordable::Plain(env)) };
                 let recorded = Recorded::new(env, &folder).map_err(|error| {
                     value_error(format_args!(
                         "output_folder is {}, expected a writable directory: {error}",
                         folder.display()
                     ))
                 })?;
-                Ok(Box::new(recorded) as Box<dyn DroneEnv + Send>)
+                Ok(Recordable::Recorded(Box::new(recorded)))
             })
         })?;
         Ok(Self { inner: Mutex::new(Inner::new(env)) })
@@ -229,7 +298,7 @@ impl Env {
     /// Starts an episode. Returns the observation and the info.
     fn reset<'py>(&mut self, py: Python<'py>, seed: Option<u64>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyDict>)> {
         let inner = self.inner();
-        inner.work(py, |inner| inner.env.reset(seed).map(|_| ()).map_err(env_error))?;
+        inner.work(py, |inner| inner.env.reset(seed).map(|_| ()).map_err(flight_error))?;
         Ok((inner.observed(py)?, info_dict(py, &*inner.env)?))
     }
 
@@ -238,7 +307,7 @@ impl Env {
         let inner = self.inner();
         inner.read_action(action)?;
         let (reward, terminated, truncated) = inner.work(py, |inner| {
-            let step = inner.env.step(&inner.action).map_err(env_error)?;
+            let step = inner.env.step(&inner.action).map_err(flight_error)?;
             Ok((step.reward, step.terminated, step.truncated))
         })?;
         (inner.observed(py)?, reward, terminated, truncated, info_dict(py, &*inner.env)?).into_pyobject(py)
@@ -308,14 +377,28 @@ impl Env {
 
     /// Returns the scalar metrics of the task by name.
     fn metrics<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let dict = PyDict::new(py);
-        let mut done = Ok(());
-        self.inner().env.metrics(&mut |name, value| {
-            if let Err(error) = dict.set_item(name, value) {
-                done = Err(error);
-            }
-        });
-        done.map(|()| dict)
+        metrics_dict(py, &*self.inner().env)
+    }
+
+    /// Returns the terms of the reward of a drone in the last step by name; none before the first step.
+    fn reward_terms<'py>(&mut self, py: Python<'py>, drone: usize) -> PyResult<Bound<'py, PyDict>> {
+        let inner = self.inner();
+        let drone = inner.drone(drone)?;
+        terms_dict(py, &*inner.env, drone)
+    }
+
+    /// Returns the present poses of the gates, float64 (n, 4): the centres (m, world frame) and the directions of the
+    /// normals (rad); (0, 4) for a task without gates.
+    fn gates<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let gates = self.inner().env.gates();
+        gates.as_flattened().to_pyarray(py).reshape([gates.len(), 4])
+    }
+
+    /// Ends the files of the running episode, if the environment has an output folder.
+    fn close(&mut self) {
+        if let Recordable::Recorded(env) = &mut self.inner().env {
+            env.end_episode();
+        }
     }
 
     /// Returns the lower and upper bounds of the numbers of an observation; empty arrays if it has none.
@@ -382,9 +465,8 @@ impl Env {
     /// Returns position (m), velocity (m/s) and yaw (rad) of a drone's reference in the world frame.
     fn reference<'py>(&mut self, py: Python<'py>, drone: usize) -> PyResult<Target<'py>> {
         let inner = self.inner();
-        let reference = inner.env.reference(inner.drone(drone)?);
-        let [position, velocity] = [reference.position, reference.velocity].map(|v| v.as_slice().to_pyarray(py));
-        Ok((position, velocity, reference.yaw))
+        let drone = inner.drone(drone)?;
+        Ok(target(py, &*inner.env, drone))
     }
 
     /// Returns the action that commands these motor speeds (rpm), of an action type that commands single motors.
@@ -478,7 +560,7 @@ impl Env {
     /// Restores a snapshot.
     fn restore(&mut self, snapshot: &Snapshot) -> PyResult<()> {
         let inner = self.inner();
-        guard(|| inner.env.restore(&snapshot.0).map_err(env_error))
+        guard(|| inner.env.restore(&snapshot.0).map_err(flight_error))
     }
 }
 

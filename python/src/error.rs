@@ -1,5 +1,6 @@
 //! Errors of the simulator as Python exceptions of one line.
 
+use std::io::{Error as IoError, ErrorKind};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use aviary::env::EnvError;
@@ -27,21 +28,39 @@ const RENAMED: [(&str, &str); 5] = [
 
 /// Converts an error of an environment: a `ValueError` about an argument, `ResetNeeded` outside an episode, a
 /// `TypeError` for an option that the task does not have, an `OSError` of a file, or a `RuntimeError` of the
-/// simulation.
+/// simulation or of a device.
 pub fn env_error(error: EnvError) -> PyErr {
     let message = match innermost(&error) {
         EnvError::Field(ObstacleGeneratorError::Full { .. }) => format!("obstacles: {}", line(&error)),
         _ => line(&error),
     };
-    match innermost(&error) {
+    env_error_with(&error, message)
+}
+
+/// Converts an error of an environment about an option or its file, with the name of the option.
+pub fn option_error(option: &str, error: &EnvError) -> PyErr {
+    env_error_with(error, format!("{option}: {}", line(error)))
+}
+
+fn env_error_with(error: &EnvError, message: String) -> PyErr {
+    match innermost(error) {
         EnvError::NeedsReset { .. } => reset_needed(message),
         EnvError::TaskOption { .. } => PyTypeError::new_err(message),
-        EnvError::System(_) => PyOSError::new_err(message),
-        EnvError::Panicked | EnvError::Vision(_) => PyRuntimeError::new_err(message),
+        EnvError::System(error) => system_error(error.kind(), message),
+        EnvError::Panicked | EnvError::Vision(_) | EnvError::Device { .. } => PyRuntimeError::new_err(message),
         EnvError::Simulation(
             SimulationError::Diverged { .. } | SimulationError::Engine { .. } | SimulationError::Stored { .. },
         ) => PyRuntimeError::new_err(message),
         _ => PyValueError::new_err(message),
+    }
+}
+
+/// Converts an error of the system into the `OSError` of its kind, such as `FileNotFoundError`.
+pub fn system_error(kind: ErrorKind, message: String) -> PyErr {
+    match kind {
+        // the conversion of these kinds expects an interrupted call or a socket
+        ErrorKind::Interrupted | ErrorKind::WouldBlock => PyOSError::new_err(message),
+        kind => IoError::new(kind, message).into(),
     }
 }
 

@@ -11,7 +11,7 @@ use pyo3::types::{PyBool, PyDict};
 
 use crate::conditions;
 use crate::control::airframe;
-use crate::error::value_error;
+use crate::error::{option_error, value_error};
 
 /// Adds the classes and functions of this file to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -136,7 +136,7 @@ impl Value<'_, '_> {
 
     /// Reads the track of a race: the name of a built-in one, a TOML file, or a dict with the keys of such a file.
     fn track(&self) -> PyResult<RaceTrack> {
-        let in_option = |error| value_error(format_args!("{}: {error}", self.name));
+        let in_option = |error| option_error(self.name, &error);
         // a name or a path-like object
         if let Ok(name) = self.value.extract::<std::path::PathBuf>() {
             return RaceTrack::find(&name.to_string_lossy()).map_err(in_option);

@@ -6,7 +6,7 @@ use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::error::value_error;
+use crate::error::{system_error, value_error};
 
 /// Adds the classes and functions of this file to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -21,11 +21,20 @@ fn flight_columns() -> Vec<&'static str> {
     COLUMNS[..last].to_vec()
 }
 
-/// Reads a flight: a dict of arrays per drone.
+/// Reads a flight, or an episode in the directory of an environment: a dict of arrays per drone.
 #[pyfunction]
-fn read_flight<'py>(py: Python<'py>, path: std::path::PathBuf) -> PyResult<Vec<Bound<'py, PyDict>>> {
-    let flight = Flight::read(&path).map_err(|error| match &error {
-        RecordError::File { error: system, .. } => std::io::Error::new(system.kind(), error.to_string()).into(),
+#[pyo3(signature = (path, episode = None))]
+fn read_flight<'py>(
+    py: Python<'py>,
+    path: std::path::PathBuf,
+    episode: Option<u64>,
+) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    let flight = match episode {
+        Some(episode) => Flight::read_episode(&path, episode),
+        None => Flight::read(&path),
+    };
+    let flight = flight.map_err(|error| match &error {
+        RecordError::File { error: system, .. } => system_error(system.kind(), error.to_string()),
         _ => value_error(error),
     })?;
     let drone = |samples: &Vec<aviary::record::Sample>| {

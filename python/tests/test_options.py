@@ -1,6 +1,8 @@
 """Options of the constructors: enums, strings, dicts and config objects, and the errors of wrong ones."""
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -29,7 +31,8 @@ def test_enums_have_the_names_and_values_of_the_paper():
     assert [m.name for m in DroneModel] == ["CF2X", "CF2P", "RACE"]
     assert [m.name for m in Physics] == ["MJC", "MJC_GND", "MJC_DRAG", "MJC_DW", "MJC_GND_DRAG_DW", "DYN"]
     assert {m.name for m in ActionType} == {"RPM", "ONE_D_RPM", "VEL", "PID", "ATTITUDE", "CTBR", "RAW_RPM", "DUTY"}
-    assert {m.name for m in ObservationType} == {"KIN", "RGB", "KIN_RGB", "DEPTH", "SEGMENTATION"}
+    images = {"RGB", "KIN_RGB", "DEPTH", "SEGMENTATION"}
+    assert {m.name for m in ObservationType} - images == {"KIN", "KIN_ADJACENCY", "KIN_OBSTACLE", "KIN_RANGES"}
     assert [m.name for m in ImageType] == ["RGB", "DEP", "SEG"]
     for enum in (DroneModel, Physics, ActionType, ObservationType):
         assert all(member.value == member.name.lower() for member in enum)
@@ -215,7 +218,6 @@ WRONG = [
     ("obs_type", "kinematic", "kin"),
     ("obs_type", 3, "kin"),
     ("act_type", 3, "rpm"),
-    ("drone_model", "nothing.toml", "No such file"),
     ("obstacles", {"kind": "forest", "count": 1000}, "fit"),
     ("act_type", "thrust", "rpm"),
     ("obstacles", 3, "ObstacleConfig"),
@@ -290,13 +292,154 @@ def test_output_folder(tmp_path):
             pass
     names = sorted(path.name for path in folder.iterdir())
     assert names == [f"episode_{episode:04}_drone{drone}.csv" for episode in range(2) for drone in range(2)]
-    lines = (folder / names[1]).read_text().splitlines()
-    last = [line for line in lines if line][-1].split(",")
-    assert float(last[0]) == 0.5 and float(last[1]) == env.pos[1, 0]
-    assert read_flight is not None
+    flights = read_flight(folder, episode=1)
+    assert len(flights) == 2
+    for drone, flight in enumerate(flights):
+        assert flight["t"][-1] == 0.5 and len(flight["t"]) == 25
+        np.testing.assert_array_equal(flight["state"][-1], env._getDroneStateVector(drone))
+        (alone,) = read_flight(folder / f"episode_0001_drone{drone}.csv")
+        assert all(np.array_equal(alone[name], flight[name], equal_nan=True) for name in flight)
+    for episode, expected in [(None, "one from 0 to 1"), (2, "one from 0 to 1"), ("1", "one from 0 to 1")]:
+        with pytest.raises(ValueError, match=f"^episode is {episode!r}, expected {expected}"):
+            read_flight(folder, episode)
+    with pytest.raises(ValueError, match=r"^episode is 0, expected None for a file"):
+        read_flight(folder / names[0], 0)
     (tmp_path / "file").write_text("")
     with pytest.raises((ValueError, OSError), match="output_folder"):
         mdg.HoverAviary(output_folder=tmp_path / "file")
+
+
+LIMITED = """
+import resource
+import sys
+import numpy as np
+import mujoco_drones_gym as mdg
+
+env = mdg.HoverAviary(output_folder=sys.argv[1], episode_seconds=100.0)
+env.reset(seed=1)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 17, resource.RLIM_INFINITY))
+try:
+    while True:
+        env.step(np.zeros(4))
+except OSError as error:
+    print(type(error).__name__, error)
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+env.reset(seed=1)
+env.step(np.zeros(4))
+"""
+
+
+def test_a_log_that_cannot_be_written_is_an_os_error(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, tmp_path / "flights"], capture_output=True, text=True, check=True
+    )
+    (line,) = done.stdout.splitlines()
+    assert line.startswith("OSError output_folder: ") and "episode_0000_drone0.csv" in line
+    env = mdg.HoverAviary(output_folder=tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(FileNotFoundError, match=r"^output_folder: .*gone/episode_0000_drone0\.csv: ") as error:
+        env.reset(seed=1)
+    assert "\n" not in str(error.value)
+
+
+def test_close_ends_the_files_of_an_unfinished_episode(tmp_path):
+    from mujoco_drones_gym.utils.logger import read_flight
+
+    env = mdg.HoverAviary(output_folder=tmp_path)
+    env.reset(seed=1)
+    for _ in range(3):
+        env.step(np.zeros(4))
+    path = tmp_path / "episode_0000_drone0.csv"
+    assert path.read_text().endswith("\n\n"), "empty lines until the file ends"
+    env.close()
+    assert len(path.read_text().splitlines()) == 5
+    assert len(read_flight(tmp_path, 0)[0]["t"]) == 4
+    env.step(np.zeros(4))
+    env.reset()
+    env.close()
+    assert len(read_flight(tmp_path, 0)[0]["t"]) == 4 and len(read_flight(tmp_path, 1)[0]["t"]) == 1
+
+
+def test_files_that_cannot_be_read_are_os_errors():
+    from mujoco_drones_gym.wrappers import WindField
+
+    for make in (
+        lambda: mdg.HoverAviary(drone_model="nothing.toml"),
+        lambda: mdg.VectorAviary("hover", 2, drone_model="nothing.toml"),
+        lambda: mdg.MultiAgentAviary(drone_model="nothing.toml"),
+        lambda: mdg.PIDControl("nothing.toml"),
+        lambda: WindField(env="nothing.toml"),
+    ):
+        with pytest.raises(FileNotFoundError, match=r"^drone_model: nothing\.toml: No such file"):
+            make()
+    with pytest.raises(FileNotFoundError, match=r"^track: nowhere\.toml: No such file"):
+        mdg.RaceAviary(track="nowhere.toml")
+
+
+def test_adjacency_and_ranges_follow_the_numbers_of_the_task():
+    plain = mdg.MultiHoverAviary(num_drones=3)
+    obs, _ = plain.reset(seed=1)
+    options = {"num_drones": 3, "neighbourhood_radius": 1.5}
+    wall = [mdg.wrappers.Obstacle("box", [-2.0, 0, 0.5], [0.1, 5, 5])]
+    adjacent = mdg.MultiHoverAviary(obs_type=mdg.ObservationType.KIN_ADJACENCY, **options)
+    seen, _ = adjacent.reset(seed=1)
+    np.testing.assert_array_equal(seen, [*obs, *(adjacent._getAdjacencyMatrix() - np.identity(3)).reshape(-1)])
+    assert seen[len(obs) :].sum() == 4 and adjacent.observation_space.contains(seen)
+    near = mdg.MultiHoverAviary(obs_type=mdg.ObservationType.KIN_OBSTACLE, obstacles=wall, **options)
+    seen, _ = near.reset(seed=1)
+    np.testing.assert_allclose(seen[len(obs) :], near.pos[:, 0] + 1.9, atol=1e-6)
+    ranging = mdg.MultiHoverAviary(obs_type="kin_ranges", obstacles=wall, **options)
+    seen, _ = ranging.reset(seed=1)
+    ranges = seen[len(obs) :].reshape(3, 10)
+    assert ranging.OBS_TYPE is mdg.ObservationType.KIN_RANGES
+    # drones stand at x = 0, 1 and 2, and the wall is behind them
+    np.testing.assert_allclose(ranges[0].min(), ranging.pos[0, 2], atol=1e-6)
+    assert np.isclose(ranges[0], 1.9, atol=1e-6).any()
+    batch = mdg.VectorAviary("multi_hover", 2, obs_type="kin_ranges", obstacles=wall, **options)
+    np.testing.assert_array_equal(batch.reset(seed=1)[0][0], seen)
+
+
+def test_gates_are_those_of_the_moment():
+    env = mdg.RaceAviary()
+    assert env.gates.shape == (6, 4) and env.gates.dtype == np.float64
+    np.testing.assert_array_equal(env.gates[:, :3], env.GATES)
+    # from the last gate to the second one
+    np.testing.assert_allclose(env.gates[0, 3], np.arctan2(1.0, 2.0))
+    track = {
+        "laps": 1,
+        "solid": True,
+        "gates": [{"position": [1.0, 0.0, 1.0], "yaw": 0.0}, {"position": [3.0, 1.0, 1.2], "yaw": 0.5}],
+        "randomization": {"position": 0.2, "yaw": 0.1},
+        "motion": {"amplitude": 0.1, "period": 2.0},
+    }
+    env = mdg.RaceAviary(track=track)
+    env.reset(seed=1)
+    first = env.gates
+    np.testing.assert_allclose(first[0, :3], env._computeObs()[12:15], atol=1e-6)
+    assert (np.abs(first[:, :3] - env.GATES) <= 0.3).all() and (first[:, :3] != env.GATES).any()
+    for _ in range(12):
+        env.step(np.full(4, 0.1))
+    later = env.gates
+    assert (later[:, :2] != first[:, :2]).any() and (later[:, 3] == first[:, 3]).all()
+    env.reset(seed=2)
+    assert (env.gates[:, 3] != first[:, 3]).all()
+    assert len(env.obstacles) == 8, "four bars per gate"
+
+
+def test_obstacles_are_those_of_the_moment():
+    wall = Obstacle("box", [2.0, 0.0, 0.5], [0.1, 1.0, 0.5], euler=[0.0, 0.0, 0.5])
+    env = mdg.HoverAviary(obstacles=[wall])
+    assert env.obstacles == [wall] and mdg.HoverAviary().obstacles == []
+    env = mdg.HoverAviary(obstacles=ObstacleConfig(num_obstacles=5, new_layout=True))
+    layouts = []
+    for seed in (1, 2):
+        env.reset(seed=seed)
+        layouts.append(env.obstacles)
+        assert len(layouts[-1]) == 5 and all(isinstance(obstacle, Obstacle) for obstacle in layouts[-1])
+    assert layouts[0] != layouts[1]
+    again = mdg.HoverAviary(obstacles=layouts[1])
+    again.reset(seed=5)
+    assert again.obstacles == layouts[1]
 
 
 def test_track():
@@ -308,7 +451,5 @@ def test_track():
     assert mdg.RaceAviary().observation_space.shape == (21,)
     with pytest.raises(ValueError, match="did you mean `oval`"):
         mdg.RaceAviary(track="ovale")
-    with pytest.raises(ValueError, match=r"nowhere\.toml"):
-        mdg.RaceAviary(track="nowhere.toml")
     with pytest.raises(ValueError, match=r"track is 3, expected the name of a track, a TOML file, or a dict"):
         mdg.RaceAviary(track=3)

@@ -118,6 +118,26 @@ def test_ends_of_tasks_in_python(goal, speed, end):
         other.step(np.zeros(4))
 
 
+class Endless(mdg.HoverAviary):
+    """A task that never ends by itself."""
+
+    def _computeTerminated(self):
+        return False
+
+
+def test_an_end_of_the_simulation_that_a_task_does_not_report_is_a_truncation():
+    env = Endless(initial_xyzs=[[0, 0, 0.5]], episode_seconds=2.0)
+    for action, end, crashed in [(-1.0, "floor_contact", True), (0.0, "time_limit", False)]:
+        env.reset(seed=1)
+        over = False
+        while not over:
+            *_, terminated, truncated, info = env.step(np.full(4, action))
+            over = terminated or truncated
+        assert (terminated, truncated, info["end"], info["crashed"]) == (False, True, end, crashed)
+        with pytest.raises(ResetNeeded):
+            env.step(np.zeros(4))
+
+
 def test_success_of_tasks_in_python():
     class Success(Goal):
         def _computeInfo(self):
@@ -132,6 +152,64 @@ def test_success_of_tasks_in_python():
         if terminated:
             break
     assert info["is_success"] is True and info["end"] == "completed"
+
+
+class Spaces(mdg.HoverAviary):
+    """A subclass that replaces attributes of its base after the constructor."""
+
+    def __init__(self):
+        super().__init__()
+        self.observation_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.action_space = gym.spaces.Box(-2.0, 2.0, (4,), np.float32)
+        self.metadata = {**self.metadata, "author": "me"}
+        self.NEIGHBOURHOOD_RADIUS = 2.5
+
+    def _computeObs(self):
+        return super()._computeObs()[:2]
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_keeps_attributes_that_a_subclass_has_replaced(duplicate):
+    env = Spaces()
+    other = duplicate(env)
+    assert (other.observation_space, other.action_space) == (env.observation_space, env.action_space)
+    assert other.metadata == env.metadata and other.metadata["author"] == "me"
+    assert other.NEIGHBOURHOOD_RADIUS == 2.5
+    assert other.reset(seed=1)[0].shape == (2,)
+
+
+class Drawing(mdg.HoverAviary):
+    """A task with random rewards."""
+
+    def _computeReward(self):
+        return self.np_random.random()
+
+
+class DrawingInStep(mdg.HoverAviary):
+    """A task that draws its rewards in a function of its own."""
+
+    def step(self, action):
+        obs, _, *rest = super().step(action)
+        return obs, self.np_random.random(), *rest
+
+
+@pytest.mark.parametrize("task", [Drawing, DrawingInStep])
+def test_a_state_has_the_random_numbers_of_a_task(task):
+    env, other = task(), task()
+    env.reset(seed=1)
+    env.step(np.zeros(4))
+    state = env.get_state()
+    rewards = [env.step(np.zeros(4))[1] for _ in range(3)]
+    env.set_state(state)
+    assert [env.step(np.zeros(4))[1] for _ in range(3)] == rewards
+    other.set_state(pickle.loads(pickle.dumps(state)))
+    assert [other.step(np.zeros(4))[1] for _ in range(3)] == rewards
+
+
+@pytest.mark.parametrize("task", [mdg.HoverAviary, Drawing])
+def test_a_new_environment_has_no_state(task):
+    with pytest.raises(ResetNeeded, match="get_state was called before the first reset"):
+        task().get_state()
 
 
 def test_a_restored_task_is_that_of_copies():

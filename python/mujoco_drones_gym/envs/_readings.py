@@ -9,6 +9,7 @@ import numpy as np
 from mujoco_drones_gym import _native
 from mujoco_drones_gym._options import action_numbers, drone_index
 from mujoco_drones_gym._states import DroneStates
+from mujoco_drones_gym.wrappers.obstacles import Obstacle
 
 
 class Readings(DroneStates):
@@ -45,6 +46,11 @@ class Readings(DroneStates):
     def J(self) -> np.ndarray:
         """Inertia matrix of the first drone in this episode, kg·m², float64 (3, 3)."""
         return np.diag(self._env.drone_params(0)["inertia"])
+
+    @property
+    def obstacles(self) -> list[Obstacle]:
+        """Obstacles at their present poses, the frames of solid gates included."""
+        return [Obstacle._from_options(obstacle) for obstacle in self._env.obstacles()]
 
     @property
     def time(self) -> float:

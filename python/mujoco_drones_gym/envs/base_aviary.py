@@ -20,6 +20,7 @@ from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     Render,
     action_numbers,
+    camera_of,
     check_reset_options,
     drone_index,
     native_options,
@@ -44,7 +45,11 @@ _HOOKS = (
     "_computeInfo",
 )
 
+#: Attributes that a copy does not have.
 _NOT_COPIED = ("_env", "_window", "_np_random", "EPISODE_LEN_SEC")
+
+#: Attributes that a copy has from its options, in which a user's changes are.
+_OF_OPTIONS = ("INIT_XYZS", "INIT_RPYS")
 
 
 class _TaskState(NamedTuple):
@@ -53,6 +58,8 @@ class _TaskState(NamedTuple):
     snapshot: _native.Snapshot
     is_over: bool
     last: tuple[float, bool, bool, dict[str, Any]]
+    np_random: np.random.Generator
+    np_random_seed: int | None
 
 
 class BaseAviary(Readings, gym.Env):
@@ -66,7 +73,9 @@ class BaseAviary(Readings, gym.Env):
     `_computeTruncated`, `_computeInfo`, `_preprocessAction`, `_observationSpace` and `_actionSpace`. It may set
     `EPISODE_LEN_SEC` before or after it calls the constructor of its base. The info of the end of such an episode has
     `end` and `is_success` as well: "completed" if `_computeTerminated` ends it, "time_limit" if `_computeTruncated`
-    does, and the info's own `success`.
+    does, and the info's own `success`. The simulation ends an episode as well: at its time limit, and by the crash
+    conditions of the task whose class is extended. Such an end that neither of the two functions reports is a
+    truncation, whose `end` is that of the simulation.
 
     Args:
         drone_model: Airframe: a `DroneModel` or its value, the path of a TOML file, or a dict with the keys of such a
@@ -95,6 +104,8 @@ class BaseAviary(Readings, gym.Env):
         stream: Index of the random stream of the seed.
         width: Width of the images of `render`, pixels.
         height: Height of the images of `render`, pixels.
+        camera: Camera of the images of `render`: "track" (follows the drones), "fpv" (onboard), "fixed", "front" or
+            "top".
 
     Attributes:
         NUM_DRONES: Number of drones, N.
@@ -118,6 +129,7 @@ class BaseAviary(Readings, gym.Env):
         GND_EFF_COEFF: Coefficient of the ground effect.
         DRAG_COEFF: Coefficients of the drag along the axes of the body, float64 (3,).
         MAX_SPEED_KMH: Maximum speed of the airframe, km/h.
+        action_type: Name of the action type of the simulation. That of `BaseAviary` is "raw_rpm" for `act_type="rpm"`.
         DRONE_MODEL, PHYSICS, OBS_TYPE, ACT_TYPE, OUTPUT_FOLDER: The options.
 
     Raises:
@@ -141,9 +153,17 @@ class BaseAviary(Readings, gym.Env):
     #: True for a subclass that overrides one of the hooks.
     _has_hooks: ClassVar[bool] = False
 
+    #: True for a subclass that may draw random numbers in an episode.
+    _may_draw: ClassVar[bool] = False
+
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        cls._has_hooks = any(getattr(cls, name) is not getattr(BaseAviary, name) for name in _HOOKS)
+        cls._has_hooks = cls._overrides(*_HOOKS)
+        cls._may_draw = cls._has_hooks or cls._overrides("reset", "step")
+
+    @classmethod
+    def _overrides(cls, *names: str) -> bool:
+        return any(getattr(cls, name) is not getattr(BaseAviary, name) for name in names)
 
     def __init__(
         self,
@@ -170,6 +190,7 @@ class BaseAviary(Readings, gym.Env):
         stream: int = 0,
         width: int = 640,
         height: int = 480,
+        camera: str = "track",
     ) -> None:
         options = {
             "drone_model": drone_model,
@@ -194,6 +215,7 @@ class BaseAviary(Readings, gym.Env):
             "stream": stream,
             "width": width,
             "height": height,
+            "camera": camera,
         }
         self._build(options, getattr(self, "_task_options", {}))
 
@@ -211,6 +233,7 @@ class BaseAviary(Readings, gym.Env):
         self.render_mode = render.mode
         self._env = env
         self._frame_size = (render.width, render.height)
+        self._camera = render.camera
         self._has_vision = render.vision_attributes
         self._is_seeded = False
         self._has_episode = False
@@ -249,7 +272,7 @@ class BaseAviary(Readings, gym.Env):
         self._window = Window(type(self).__name__, self.CTRL_TIMESTEP) if render.mode == "human" else None
         modes = render_modes(self.metadata, render.mode)
         self.metadata = {**self.metadata, "render_modes": modes, "render_fps": self.CTRL_FREQ}
-        self._commands_motors: bool = constants["action_type"] == "raw_rpm"
+        self.action_type: str = constants["action_type"]
         self.observation_space = self._observationSpace()
         self.action_space = self._actionSpace()
 
@@ -351,11 +374,15 @@ class BaseAviary(Readings, gym.Env):
         self._last = (reward, terminated, truncated, info)
         if self._has_hooks:
             terminated, truncated = bool(self._computeTerminated()), bool(self._computeTruncated())
+            end = "completed" if terminated else "time_limit"
+            if not (terminated or truncated) and "end" in self._last[3]:
+                # the simulation has ended the episode, which cannot continue
+                truncated, end = True, self._last[3]["end"]
             self._is_over = terminated or truncated
             obs, reward, info = self._computeObs(), float(self._computeReward()), self._computeInfo()
             if self._is_over and isinstance(info, dict):
                 success = bool(info.get("success", self._last[3]["success"]))
-                info = {**info, "end": info.get("end") or ("completed" if terminated else "time_limit")}
+                info = {**info, "end": info.get("end") or end}
                 info.setdefault("is_success", success)
         if self._window is not None:
             self._window.step(self._env)
@@ -365,27 +392,28 @@ class BaseAviary(Readings, gym.Env):
         """Returns an image of the present state, or shows the present state in the window.
 
         Args:
-            camera_mode: "track" (the default: follows the drones), "fpv" (onboard), "fixed", "front" or "top".
+            camera_mode: "track" (follows the drones), "fpv" (onboard), "fixed", "front" or "top"; None for the option
+                `camera`.
 
         Returns:
             Image, uint8 (height, width, 3). None without a `camera_mode`, if the render mode is "human" or None.
         """
         if not self._has_episode:
             raise ResetNeeded("render was called before the first reset, expected a call of reset first")
-        if camera_mode is not None and not isinstance(camera_mode, str):
-            raise ValueError(f"camera_mode is {short(camera_mode)}, expected track, fpv, fixed, front or top")
+        camera = self._camera if camera_mode is None else camera_of("camera_mode", camera_mode)
         if self.render_mode is None and camera_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
         if self._window is not None and camera_mode is None:
             self._window.refresh(self._env)
             return None
-        return self._env.render("track" if camera_mode is None else camera_mode, *self._frame_size)
+        return self._env.render(camera, *self._frame_size)
 
     def close(self) -> None:
-        """Closes the window, if there is one. The next `reset` opens another one."""
+        """Closes the window, and ends the files of the episode in the output folder. The next `reset` opens others."""
         if self._window is not None:
             self._window.close()
+        self._env.close()
 
     def set_wind(self, wind: Any) -> None:
         """Sets the wind from now on, also for later episodes.
@@ -427,10 +455,19 @@ class BaseAviary(Readings, gym.Env):
     def get_state(self) -> Any:
         """Returns the whole state: drones, motors, wind, sensors, task and random streams. It can be pickled.
 
-        The state of a task in Python has no attributes that the subclass has added.
+        The state of a task in Python has the random generator `np_random`, and no attributes that the subclass has
+        added.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
         """
+        if not self._has_episode:
+            raise ResetNeeded("get_state was called before the first reset, expected a call of reset first")
         snapshot = self._env.snapshot()
-        return _TaskState(snapshot, self._is_over, deepcopy(self._last)) if self._has_hooks else snapshot
+        if not self._may_draw:
+            return snapshot
+        last, generator = deepcopy((self._last, self.np_random))
+        return _TaskState(snapshot, self._is_over, last, generator, self._np_random_seed)
 
     def set_state(self, state: Any) -> None:
         """Restores a state of `get_state`. Later steps and resets are bit-identical to those after that call.
@@ -452,6 +489,7 @@ class BaseAviary(Readings, gym.Env):
         self._is_over, self._last = "end" in info, (0.0, False, False, info)
         if own is not None:
             self._is_over, self._last = own.is_over, deepcopy(own.last)
+            self._np_random, self._np_random_seed = deepcopy(own.np_random), own.np_random_seed
         # a later copy of the environment has the options of the restored task
         present = self._env.task_options()
         restored = {name: present[name] for name in self._task_options if present.get(name) is not None}
@@ -472,6 +510,14 @@ class BaseAviary(Readings, gym.Env):
     def drone_rewards(self) -> np.ndarray:
         """Returns the rewards of the drones in the last step, float64 (N,). Their sum is the reward of the step."""
         return self._env.drone_rewards()
+
+    def reward_terms(self, nth_drone: int = 0) -> dict[str, float]:
+        """Returns the terms of the reward of a drone in the last step by name; their sum is the drone's reward.
+
+        Bonuses are positive, penalties negative. The dict is empty before the first step of an episode, and for an
+        environment without a task. The terms of a task in Python are those of the task that its class extends.
+        """
+        return self._env.reward_terms(drone_index(nth_drone, self.NUM_DRONES))
 
     def action_of_rpm(self, rpm: Any) -> np.ndarray:
         """Returns the action, float64, that commands motor speeds.
@@ -529,6 +575,9 @@ class BaseAviary(Readings, gym.Env):
         # the hooks of a subclass may read attributes of its own while the simulation is built
         self.__dict__.update(own)
         self._build(options, task_options)
+        # a subclass may have replaced attributes of its base, such as the spaces
+        replaced = {name: value for name, value in own.items() if not name.startswith("_") and name not in _OF_OPTIONS}
+        self.__dict__.update(replaced)
 
 
 def _member(enum: type[Enum], value: Any) -> Any:

@@ -38,8 +38,17 @@ class RaceAviary(BaseAviary):
         super().__init__(**options)
 
     @property
+    def gates(self) -> np.ndarray:
+        """Present poses of the gates, float64 (n, 4).
+
+        A pose is the centre (world frame, m) and the yaw of the direction in which drones pass the gate (rad). The
+        gates of a track may change in every episode and move during it.
+        """
+        return self._env.gates()
+
+    @property
     def GATES(self) -> np.ndarray:
-        """Centres of the gates, world frame, m, float64 (n, 3)."""
+        """Centres of the gates of the track, world frame, m, float64 (n, 3)."""
         return np.array(self._env.task_options()["gates"])
 
     @property

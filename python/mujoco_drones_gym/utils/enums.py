@@ -69,6 +69,13 @@ class ObservationType(Enum):
     """Depth images of the onboard cameras, m, float32 (N, 48, 64)."""
     SEGMENTATION = "segmentation"
     """Type and index of the object of every pixel, int32 (N, 48, 64, 2)."""
+    KIN_ADJACENCY = "kin_adjacency"
+    """Numbers of the task, followed by N numbers per drone: 1 for a drone within `neighbourhood_radius`, 0 for the
+    others and for the drone itself."""
+    KIN_OBSTACLE = "kin_obstacle"
+    """Numbers of the task, followed by the distance of every drone from the nearest obstacle, m."""
+    KIN_RANGES = "kin_ranges"
+    """Numbers of the task, followed by ten rangefinder distances per drone, m: eight around the drone, up and down."""
 
 
 class ImageType(Enum):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from datetime import datetime
 from typing import Any
 
@@ -241,11 +242,14 @@ class Logger:
         return os.path.join(self.OUTPUT_FOLDER, name)
 
 
-def read_flight(path: str | os.PathLike[str]) -> list[dict[str, np.ndarray]]:
-    """Reads the flight logs of a `Logger` or of `aviary fly --out`.
+def read_flight(path: str | os.PathLike[str], episode: int | None = None) -> list[dict[str, np.ndarray]]:
+    """Reads the flight logs of a `Logger`, of `aviary fly --out`, or of the option `output_folder` of an environment.
 
     Args:
-        path: Directory with `drone0.csv`, `drone1.csv`, …, or one table with the rows of all drones.
+        path: Directory with `drone0.csv`, `drone1.csv`, …, or one table with the rows of all drones or of one of them,
+            such as `episode_0000_drone1.csv`.
+        episode: Number of an episode, for the `output_folder` of an environment, whose files are
+            `episode_0000_drone0.csv`, ….
 
     Returns:
         For each drone `t` (s, shape (rows,)), `state` (the 20 numbers, shape (rows, 20)), `reward` (shape (rows,)) and
@@ -253,10 +257,36 @@ def read_flight(path: str | os.PathLike[str]) -> list[dict[str, np.ndarray]]:
 
     Raises:
         OSError: if the system cannot read a file.
-        ValueError: with the file, the line and the column of an error.
+        ValueError: with the file, the line and the column of an error, or for an episode that does not exist.
     """
-    os.stat(path)
-    return _native.read_flight(os.fspath(path))
+    path = os.fspath(path)
+    first = path
+    if os.path.isdir(path):
+        first = os.path.join(path, _first_file(path, episode))
+    elif episode is not None:
+        os.stat(path)
+        raise ValueError(f"episode is {short(episode)}, expected None for a file")
+    # the error of a file that the system cannot read
+    with open(first, "rb"):
+        pass
+    return _native.read_flight(path, episode)
+
+
+def _first_file(folder: str, episode: Any) -> str:
+    """Returns the name of the file of the first drone in a directory."""
+    names = os.listdir(folder)
+    if episode is None and "drone0.csv" in names:
+        return "drone0.csv"
+    found = [re.fullmatch(r"episode_(\d{4,})_drone0\.csv", name) for name in names]
+    episodes = sorted(int(match[1]) for match in found if match)
+    if not episodes:
+        if episode is None:
+            return "drone0.csv"
+        raise ValueError(f"episode is {short(episode)}, expected None: the directory has no files of episodes")
+    if episode not in episodes or isinstance(episode, bool):
+        numbers = str(episodes[0]) if len(episodes) == 1 else f"one from {episodes[0]} to {episodes[-1]}"
+        raise ValueError(f"episode is {short(episode)}, expected {numbers}, as the directory has")
+    return f"episode_{episode:04}_drone0.csv"
 
 
 def _numbers(name: str, value: Any, expected: str) -> np.ndarray:
