@@ -19,7 +19,8 @@ class SB3VecEnv(VecEnv):
     """A `VectorAviary` as a `VecEnv` of Stable-Baselines3.
 
     An environment whose episode has ended starts the next one in the same step. Its info holds the last observation of
-    the old episode as `terminal_observation`, `TimeLimit.truncated`, the reason of the end as `end`, and `is_success`.
+    the old episode as `terminal_observation`, `TimeLimit.truncated`, and the info of its last step: `time`, `success`,
+    `progress`, `position_error`, `crashed`, `end` and `is_success`. `reset_infos` has the infos of the last `reset`.
 
     Args:
         task: Name of the task, such as "hover".
@@ -56,7 +57,9 @@ class SB3VecEnv(VecEnv):
         """Starts an episode in every environment and returns the observations, (M, ...)."""
         seeds = self._seeds
         observations, _ = self.venv.reset(seed=seeds[0] if len(set(seeds)) == 1 else seeds)
-        self.reset_infos = [{} for _ in range(self.num_envs)]
+        # the environments of a GPU have no infos
+        has_infos = self.venv.device == "cpu"
+        self.reset_infos = [env.info() if has_infos else {} for env in self.venv.envs]
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -75,13 +78,14 @@ class SB3VecEnv(VecEnv):
         observations, rewards, terminations, truncations, ends = self.venv.step(self._actions)
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
         if ends:
-            final, last = ends["final_info"], ends["final_obs"]
-            for i in np.flatnonzero(ends["_final_obs"]):
+            last = ends["final_obs"]
+            # plain numbers instead of scalars of numpy
+            final = {name: values.tolist() for name, values in ends["final_info"].items() if not name.startswith("_")}
+            for i in np.flatnonzero(ends["_final_obs"]).tolist():
                 infos[i] = {
                     "TimeLimit.truncated": bool(truncations[i] and not terminations[i]),
                     "terminal_observation": last[i],
-                    "is_success": bool(final["is_success"][i]),
-                    "end": final["end"][i],
+                    **{name: values[i] for name, values in final.items()},
                 }
         return observations, rewards, terminations | truncations, infos
 
@@ -113,11 +117,5 @@ class SB3VecEnv(VecEnv):
     def _targets(self, indices: Any) -> list[VectorMember]:
         return [self.venv.envs[int(index)] for index in self._get_indices(indices)]
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        options = dict(self.venv._arguments)
-        del options["autoreset_mode"], options["copy"]
-        return _rebuilt, (options,)
-
-
-def _rebuilt(options: dict[str, Any]) -> SB3VecEnv:
-    return SB3VecEnv(**options)
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_actions": None}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import operator
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,14 @@ from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     action_numbers,
+    camera_of,
     check_reset_options,
     drone_index,
     flag,
     integer,
     native_options,
+    numbers,
+    randomization_options,
     replace_wind,
     seed_of,
     wind_options,
@@ -43,6 +47,56 @@ _LONGEST = 39_999_999
 
 #: Names of the reasons why an episode ends; the last entry is that of an episode that has not ended.
 _ENDS = np.array([*_native.END_REASONS, None], object)
+
+
+#: Attributes of a batch that a copy does not have.
+_NOT_COPIED = ("_batch", "_images", "_started", "_np_random", "_np_random_seed", "num_threads", "closed")
+
+#: Attributes that a single environment gets from its constructor, apart from those of its class.
+SINGLE_ATTRIBUTES = frozenset(
+    [
+        "NUM_DRONES",
+        "SIM_FREQ",
+        "CTRL_FREQ",
+        "CTRL_TIMESTEP",
+        "SIM_TIMESTEP",
+        "SIM_STEPS_PER_CTRL",
+        "DRONE_MODEL",
+        "PHYSICS",
+        "OBS_TYPE",
+        "ACT_TYPE",
+        "HOVER_RPM",
+        "MAX_RPM",
+        "INIT_XYZS",
+        "INIT_RPYS",
+        "OUTPUT_FOLDER",
+        "NEIGHBOURHOOD_RADIUS",
+        "EPISODE_LEN_SEC",
+        "KF",
+        "KM",
+        "L",
+        "MAX_THRUST",
+        "THRUST2WEIGHT_RATIO",
+        "PROP_RADIUS",
+        "GND_EFF_COEFF",
+        "DRAG_COEFF",
+        "MAX_SPEED_KMH",
+        "action_type",
+        "render_mode",
+        "metadata",
+        "observation_space",
+        "action_space",
+    ]
+)
+
+
+@cache
+def single_attributes(task: str) -> frozenset[str]:
+    """Returns the names of the attributes and methods of the single environments of a task."""
+    module = "base" if task in ("base", "multi_agent") else task
+    name = "".join(part.capitalize() for part in module.split("_")) + "Aviary"
+    cls = getattr(importlib.import_module(f"mujoco_drones_gym.envs.{module}_aviary"), name)
+    return SINGLE_ATTRIBUTES | {name for name in dir(cls) if not name.startswith("__")}
 
 
 def autoreset_mode_of(value: AutoresetMode | str) -> AutoresetMode:
@@ -72,7 +126,10 @@ class _Conditions:
 
 
 class VectorMember(DroneStates):
-    """One environment of a `VectorAviary`, for reading its state and changing its wind.
+    """One environment of a `VectorAviary`, for reading its state and changing its wind, randomization and targets.
+
+    It keeps attributes of your own. An attribute of a single environment that a batch cannot change is an
+    AttributeError.
 
     Args:
         env: The vector environment.
@@ -98,9 +155,25 @@ class VectorMember(DroneStates):
         if isinstance(own, property) and own.fset:
             object.__setattr__(self, name, value)
             return
-        if own is not None:
-            raise AttributeError(f"the attribute {name!r} of an environment cannot be set")
+        if own is not None or name in single_attributes(self._env.task):
+            expected = "expected an option of VectorAviary, TARGET_HEIGHT, TARGET_HEIGHTS, or an attribute of your own"
+            raise AttributeError(f"the attribute {name!r} of an environment cannot be set, {expected}")
         self._env._attributes.setdefault(self._index, {})[name] = value
+
+    def _changed(self, name: str) -> Any:
+        """Returns the present value of an option that can be changed."""
+        changes = self._env._changes.get(self._index, {})
+        return changes[name] if name in changes else self._env._arguments.get(name)
+
+    def _note(self, name: str, value: Any) -> None:
+        """Keeps the changed value of an option for copies of the batch."""
+        self._env._changes.setdefault(self._index, {})[name] = value
+
+    def _set_target(self, name: str, value: Any) -> None:
+        if value is None:
+            raise ValueError(f"{name} is None, expected a number of metres")
+        self._env._batch.set_task_options(self._index, {name: value})
+        self._note(name, value)
 
     @property
     def observation_space(self) -> spaces.Space:
@@ -148,6 +221,11 @@ class VectorMember(DroneStates):
         return self._env.CTRL_TIMESTEP
 
     @property
+    def action_type(self) -> str:
+        """Name of the action type."""
+        return self._env.action_type
+
+    @property
     def HOVER_RPM(self) -> float:
         """Motor speed that carries the nominal weight, rpm."""
         return self._env.HOVER_RPM
@@ -167,9 +245,21 @@ class VectorMember(DroneStates):
 
     @TARGET_HEIGHT.setter
     def TARGET_HEIGHT(self, height: float) -> None:
-        if height is None:
-            raise ValueError("target_height is None, expected a number of metres")
-        self._env._batch.set_task_options(self._index, {"target_height": height})
+        self._set_target("target_height", height)
+
+    @property
+    def TARGET_HEIGHTS(self) -> np.ndarray:
+        """Target heights, m, float64 (N,), in `multi_hover` and `multi_agent`.
+
+        Setting them has an effect from the next step on.
+        """
+        if self._env.task not in ("multi_hover", "multi_agent"):
+            raise AttributeError("the task has no target heights")
+        return np.array([self.reference(drone)[0][2] for drone in range(self.NUM_DRONES)])
+
+    @TARGET_HEIGHTS.setter
+    def TARGET_HEIGHTS(self, heights: Any) -> None:
+        self._set_target("target_heights", numbers("target_heights", heights).reshape(-1).tolist())
 
     @property
     def unwrapped(self) -> VectorMember:
@@ -180,11 +270,19 @@ class VectorMember(DroneStates):
         return np.stack([self._getDroneStateVector(drone) for drone in range(self.NUM_DRONES)])
 
     def _batteries(self) -> np.ndarray:
-        return self._env._batch.batteries()[self._index]
+        return self._env._batch.battery(self._index)
 
     def _getDroneStateVector(self, nth_drone: int) -> np.ndarray:
         """Returns the state of a drone, float64 (20,): pos, quat (w, x, y, z), rpy, vel, ang_v, motor speeds (rpm)."""
         return self._env._batch.state(self._index, drone_index(nth_drone, self.NUM_DRONES))
+
+    def drone_params(self, nth_drone: int = 0) -> dict[str, Any]:
+        """Returns the parameters of a drone's airframe in this episode, with the keys of an airframe file."""
+        return self._env._batch.drone_params(self._index, drone_index(nth_drone, self.NUM_DRONES))
+
+    def reference(self, nth_drone: int = 0) -> tuple[np.ndarray, np.ndarray, float]:
+        """Returns the reference of a drone: position (m) and velocity (m/s), each (3,), and yaw (rad), world frame."""
+        return self._env._batch.reference(self._index, drone_index(nth_drone, self.NUM_DRONES))
 
     def info(self) -> dict[str, Any]:
         """Returns the info of the environment, as `step` of a single environment returns it."""
@@ -204,13 +302,38 @@ class VectorMember(DroneStates):
         Raises:
             ValueError: next to a range of the wind in the randomization; nothing has changed.
         """
-        randomization = self._env._arguments.get("randomization")
         target = _Conditions(self._env._batch, self._index)
-        replace_wind(target, wind_options(config), randomization, self._env.CTRL_FREQ)
+        replace_wind(target, wind_options(config), self._changed("randomization"), self._env.CTRL_FREQ)
+        self._note("wind", config)
 
-    def render(self) -> np.ndarray | None:
-        """Returns a frame of the environment, uint8 (height, width, 3), if the render mode is "rgb_array"."""
-        return self._env._frame(self._index)
+    def set_randomization(self, randomization: Any) -> None:
+        """Sets the parameters that are sampled for every episode from the next reset on.
+
+        Args:
+            randomization: A `DomainRandomizationConfig`, a dict of groups, True for the paper's ranges, or None.
+        """
+        ranges = randomization_options(randomization, self._env.CTRL_FREQ, wind_options(self._changed("wind")))
+        self._env._batch.set_randomization(self._index, ranges)
+        self._note("randomization", randomization)
+
+    def _restore(self, changes: dict[str, Any]) -> None:
+        """Applies the changes of another environment."""
+        if "wind" in changes or "randomization" in changes:
+            # without ranges, which may not be next to a wind
+            self.set_randomization(None)
+            self.set_wind(changes.get("wind", self._changed("wind")))
+            self.set_randomization(changes.get("randomization", self._env._arguments.get("randomization")))
+        for name in ("target_height", "target_heights"):
+            if name in changes:
+                self._set_target(name, changes[name])
+
+    def render(self, camera_mode: str | None = None) -> np.ndarray | None:
+        """Returns a frame of the environment, uint8 (height, width, 3), if the render mode is "rgb_array".
+
+        Args:
+            camera_mode: "track", "fpv", "fixed", "front" or "top"; None for the option `camera`.
+        """
+        return self._env._frame(self._index, camera_mode)
 
     def close(self) -> None:
         """Does nothing: the vector environment owns the simulation."""
@@ -320,14 +443,19 @@ class VectorAviary(VectorEnv):
         self.device = device
         self.copy = flag("copy", copy)
         task, native, render = native_options(task, options)
+        if device.startswith("gpu") and render.mode is not None:
+            raise ValueError(f"render_mode is {render.mode!r}, expected None with device={device!r}")
         self.render_mode = render.mode
         self._frame_size = (render.width, render.height)
+        self._camera = render.camera
         _opengl.prepare()
         mode = _AUTORESET[self.autoreset_mode]
         batch = _native.Batch(task, native, count, threads, mode, on_fault, max_episode_steps, self.copy, device)
         self._batch: Any = batch
         # attributes of single environments that the caller has set
         self._attributes: dict[int, dict[str, Any]] = {}
+        # options of single environments that the caller has changed
+        self._changes: dict[int, dict[str, Any]] = {}
         self.num_envs = count
         self.task = task
         # the environments that have started an episode
@@ -340,9 +468,11 @@ class VectorAviary(VectorEnv):
         self.CTRL_TIMESTEP: float = constants["control_period"]
         self.HOVER_RPM: float = constants["hover_rpm"]
         self.MAX_RPM: float = constants["max_rpm"]
+        #: Name of the action type.
+        self.action_type: str = constants["action_type"]
         self.max_episode_steps: int = constants["episode_steps"]
         self.metadata = {
-            "render_modes": ["rgb_array"],
+            "render_modes": ["rgb_array"] if device == "cpu" else [],
             "render_fps": self.CTRL_FREQ,
             "autoreset_mode": self.autoreset_mode,
         }
@@ -353,8 +483,6 @@ class VectorAviary(VectorEnv):
         for name, image in self._images.items():
             boxes[name] = _layout.image_space(name, image.shape[1:])
         self._has_numbers = "kin" in boxes
-        # the observations with images, if they are the same in every step
-        self._packed: Any = None
         self.single_observation_space = _layout.observation_space(boxes)
         low, high = batch.action_bounds()
         self.single_action_space = spaces.Box(low, high, dtype=np.float32)
@@ -422,8 +550,9 @@ class VectorAviary(VectorEnv):
 
         Returns:
             The observations (M, ...), the rewards, float32 (M,), the terminations and truncations, bool (M,), and the
-            infos. Where an episode has ended, the infos hold `success` and `end` (`NEXT_STEP`, `DISABLED`) or
-            `final_obs` and `final_info` (`SAME_STEP`), each with the mask of the environments, `_success` and so on.
+            infos. Where an episode has ended, the infos hold `success`, `end`, `is_success`, `time`, `progress`,
+            `position_error` and `crashed` of its last step (`NEXT_STEP`, `DISABLED`), or `final_obs` and `final_info`,
+            which holds them (`SAME_STEP`), each with the mask of the environments, `_success` and so on.
         """
         if type(actions) is not np.ndarray or actions.dtype.char not in "fd":
             actions = action_numbers("actions", actions, (self.num_envs, *self.single_action_space.shape))
@@ -457,6 +586,26 @@ class VectorAviary(VectorEnv):
         """
         return self._batch.batteries()
 
+    def reward_terms(self) -> dict[str, np.ndarray]:
+        """Returns the terms of the rewards of the last step by name.
+
+        Bonuses are positive, penalties negative, and the sum of all terms is the reward. A term is an array, float64
+        (M,) for one drone and (M, N) for several. It is NaN for an environment that has not made a step in its present
+        episode, such as one that `SAME_STEP` has reset. The dict is empty if no environment has made one.
+        """
+        terms = self._batch.reward_terms()
+        return {name: term[:, 0] for name, term in terms.items()} if self.NUM_DRONES == 1 else terms
+
+    def sampled_params(self) -> dict[str, np.ndarray]:
+        """Returns the sampled parameters of the present episodes by name; an empty dict without randomization.
+
+        The names are those of `sampled_params` of a single environment, with dots for groups (`actuators.lag`). A
+        parameter is an array, float64 (M, N), or (M, N, ...) if it has several numbers. Parameters of a whole
+        environment, such as `gravity`, are equal for its drones. The numbers of an environment without randomization
+        are NaN.
+        """
+        return self._batch.sampled_params()
+
     def faults(self) -> dict[int, str]:
         """Returns the errors of the environments that failed in the last step, by the index of the environment."""
         return dict(self._batch.faults())
@@ -484,13 +633,12 @@ class VectorAviary(VectorEnv):
         if not self._images:
             return numbers
         if not self.copy:
-            if self._packed is None:
-                self._packed = self._pack(numbers, self._images)
-            return self._packed
+            return self._pack(numbers, self._images)
         return self._pack(numbers, {name: image.copy() for name, image in self._images.items()})
 
     def _pack(self, numbers: np.ndarray, images: dict[str, np.ndarray]) -> Any:
-        return _layout.pack({"kin": numbers, **images} if self._has_numbers else images)
+        # the dict is a new one, so that the caller may change it
+        return _layout.pack({"kin": numbers, **images} if self._has_numbers else dict(images))
 
     def _end_infos(self) -> dict[str, Any]:
         """Returns the infos of a step in which an episode has ended."""
@@ -505,14 +653,14 @@ class VectorAviary(VectorEnv):
         end = np.empty(count, object)
         end[indices] = _ENDS[ends]
         infos = {"success": success, "_success": mask, "end": end, "_end": mask.copy()}
-        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            return infos
         infos.update(is_success=success.copy(), _is_success=mask.copy())
         names = ("time", "progress", "position_error", "crashed")
         for name, values in zip(names, self._batch.final_infos(indices), strict=True):
             infos[name] = np.zeros(count, values.dtype)
             infos[name][indices] = values
             infos[f"_{name}"] = mask.copy()
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+            return infos
         final = np.empty(count, object)
         rows = self._batch.final_observations(indices)
         if not self._images:
@@ -524,13 +672,14 @@ class VectorAviary(VectorEnv):
                 final[index] = self._pack(row, images)
         return {"final_obs": final, "_final_obs": mask.copy(), "final_info": infos, "_final_info": mask.copy()}
 
-    def _frame(self, index: int) -> np.ndarray | None:
+    def _frame(self, index: int, camera_mode: str | None = None) -> np.ndarray | None:
         if not self._started[index]:
             raise ResetNeeded("render was called before the first reset, expected a call of reset first")
-        if self.render_mode is None:
+        camera = self._camera if camera_mode is None else camera_of("camera_mode", camera_mode)
+        if self.render_mode is None and camera_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
-        return self._batch.render(index, "track", *self._frame_size)
+        return self._batch.render(index, camera, *self._frame_size)
 
     def _checked_mask(self, given: Any) -> np.ndarray:
         try:
@@ -545,12 +694,19 @@ class VectorAviary(VectorEnv):
             raise ValueError("options['reset_mask'] selects no environment, expected at least one True")
         return mask
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (self._arguments,)
+    def __getstate__(self) -> dict[str, Any]:
+        # a copy has the options of the batch and starts without an episode
+        state = {name: value for name, value in self.__dict__.items() if name not in _NOT_COPIED}
+        state["_attributes"] = {index: dict(own) for index, own in self._attributes.items()}
+        return state
 
-
-def _rebuilt(arguments: dict[str, Any]) -> VectorAviary:
-    return VectorAviary(**arguments)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        own = dict(state)
+        changes = own.pop("_changes")
+        VectorAviary.__init__(self, **own["_arguments"])
+        self.__dict__.update(own)
+        for index, changed in changes.items():
+            self.envs[index]._restore(changed)
 
 
 def _checked_seed(seed: Any) -> Any:

@@ -1,7 +1,7 @@
 //! Wind, obstacles, randomization and curricula: their options as Python dicts, wind fields and layouts of obstacles.
 
 use aviary::drone::DroneParams;
-use aviary::env::Randomization;
+use aviary::env::{Randomization, SampledParams};
 use aviary::physics::wind::{WindConfig, WindField as Field};
 use aviary::state::DroneState;
 use aviary::world::ObstacleConfig;
@@ -184,6 +184,53 @@ impl Curriculum {
     fn restore(&mut self, state: &Bound<'_, PyAny>) -> PyResult<()> {
         let state: CurriculumState = section("state", state)?;
         self.levels.restore_state(state).map_err(value_error)
+    }
+}
+
+/// Reports the sampled numbers of a drone by name, with their shapes: those of the drone and those of the environment.
+/// The names have dots, as in `actuators.lag`.
+pub fn sampled_numbers(
+    sampled: &SampledParams,
+    drone: usize,
+    report: &mut dyn FnMut(&str, &[usize], &[f64]),
+) -> PyResult<()> {
+    let mut report_all = |table: Value| {
+        if let Value::Table(table) = table {
+            table.iter().for_each(|(name, value)| report_numbers(name, value, report));
+        }
+    };
+    if let Some(drone) = sampled.drones.get(drone) {
+        report_all(Value::try_from(drone).map_err(value_error)?);
+    }
+    let shared = SampledParams { drones: Vec::new(), ..sampled.clone() };
+    report_all(Value::try_from(shared).map_err(value_error)?);
+    Ok(())
+}
+
+fn report_numbers(name: &str, value: &Value, report: &mut dyn FnMut(&str, &[usize], &[f64])) {
+    if let Value::Table(table) = value {
+        table.iter().for_each(|(key, value)| report_numbers(&format!("{name}.{key}"), value, report));
+        return;
+    }
+    let (mut shape, mut numbers) = (Vec::new(), Vec::new());
+    collect_numbers(value, 0, &mut shape, &mut numbers);
+    if !numbers.is_empty() {
+        report(name, &shape, &numbers);
+    }
+}
+
+/// Appends the numbers of nested arrays; `shape` gets the lengths of the arrays, and `depth` is that of the value.
+fn collect_numbers(value: &Value, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<f64>) {
+    match value {
+        Value::Float(number) => numbers.push(*number),
+        Value::Integer(number) => numbers.push(*number as f64),
+        Value::Array(values) => {
+            if shape.len() == depth {
+                shape.push(values.len());
+            }
+            values.iter().for_each(|value| collect_numbers(value, depth + 1, shape, numbers));
+        }
+        _ => {}
     }
 }
 

@@ -7,12 +7,12 @@ use aviary::multi_agent::{AgentInfo, AgentMap, ParallelEnv, make_parallel};
 use aviary::observation::{KIN_SIZE, Observation, kinematic};
 use aviary::vision::ImageSize;
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods as _, ToPyArray as _};
-use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyRuntimeError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::conditions;
-use crate::env::battery_rows;
+use crate::env::{battery_rows, checked_drone, metrics_dict, terms_dict};
 use crate::error::{env_error, guard, value_error};
 use crate::gil::without_gil;
 use crate::options::env_config;
@@ -144,12 +144,36 @@ impl Parallel {
     fn drone_params<'py>(&self, py: Python<'py>, drone: usize) -> PyResult<Bound<'py, PyAny>> {
         let env = self.lock()?;
         let simulation = env.simulation();
-        let count = simulation.num_drones();
-        if drone >= count {
-            let message = format!("drone {drone} does not exist, expected an index from 0 to {}", count - 1);
-            return Err(PyValueError::new_err(message));
-        }
-        conditions::python_of(py, simulation.params(drone))
+        conditions::python_of(py, simulation.params(checked_drone(simulation, drone)?))
+    }
+
+    /// Returns the terms of the reward of a drone in the last step by name; none before the first step.
+    fn reward_terms<'py>(&self, py: Python<'py>, drone: usize) -> PyResult<Bound<'py, PyDict>> {
+        let env = self.lock()?;
+        terms_dict(py, env.drone_env(), checked_drone(env.simulation(), drone)?)
+    }
+
+    /// Returns the scalar metrics of the task by name.
+    fn metrics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        metrics_dict(py, self.lock()?.drone_env())
+    }
+
+    /// Sets the wind from now on; None for still air.
+    fn set_wind(&self, wind: Option<Bound<'_, PyAny>>) -> PyResult<()> {
+        let wind = wind.as_ref().map(conditions::wind).transpose()?;
+        self.lock()?.drone_env_mut().set_wind(wind).map_err(env_error)
+    }
+
+    /// Sets the parameters that are sampled from the next reset on; None for nominal values.
+    fn set_randomization(&self, randomization: Option<Bound<'_, PyAny>>) -> PyResult<()> {
+        let randomization = randomization.as_ref().map(conditions::randomization).transpose()?;
+        self.lock()?.drone_env_mut().set_randomization(randomization).map_err(env_error)
+    }
+
+    /// Returns the sampled parameters of this episode; None without randomization.
+    fn sampled_params<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let env = self.lock()?;
+        env.drone_env().sampled_params().map(|sampled| conditions::python_of(py, sampled)).transpose()
     }
 
     /// Returns constants of the environment by name.
@@ -161,6 +185,7 @@ impl Parallel {
         dict.set_item("num_drones", simulation.num_drones())?;
         dict.set_item("sim_freq", simulation.sim_freq())?;
         dict.set_item("ctrl_freq", simulation.ctrl_freq())?;
+        dict.set_item("action_type", env.drone_env().action_type().name())?;
         dict.set_item("gravity", simulation.gravity())?;
         let params = simulation.params(0);
         dict.set_item("mass", params.mass)?;

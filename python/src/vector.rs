@@ -20,7 +20,7 @@ use self::device::Environments;
 use self::members::{Members, Seeds};
 use self::outputs::{Images, Outputs, StepArrays, StepMemory};
 use crate::conditions;
-use crate::env::{battery_numbers, info_dict};
+use crate::env::{Target, battery_numbers, checked_drone, info_dict, metrics_dict, target};
 use crate::error::{env_error, guard};
 use crate::gil::without_gil;
 use crate::memory;
@@ -44,7 +44,9 @@ pub struct Batch {
     images: Py<PyDict>,
     inner: Mutex<Option<Inner>>,
     environments: usize,
+    drones: usize,
     action_size: usize,
+    device: String,
 }
 
 /// Environments of a batch and the memory of their results.
@@ -109,7 +111,7 @@ impl Batch {
         };
         let mut config = env_config(task, options)?;
         let batch = VecConfig { threads, autoreset, on_fault, keep_observations: copy, ..VecConfig::new(num_envs) };
-        let Environments { env, probe } = without_gil(py, || {
+        let Environments { mut env, mut probe } = without_gil(py, || {
             guard(|| {
                 if let Some(steps) = max_episode_steps {
                     let one = VecConfig { threads: 1, ..VecConfig::new(1) };
@@ -128,9 +130,12 @@ impl Batch {
         })?;
         let (images, arrays) = Images::new(py, &*env)?;
         let outputs = Outputs::new(py, &*env, copy)?;
-        let (environments, action_size) = (env.num_envs(), env.action_size());
+        let (environments, action_size, mut drones) = (env.num_envs(), env.action_size(), 0);
+        let count = &mut |env: &mut dyn DroneEnv| drones = env.simulation().num_drones();
+        probe.as_mut().unwrap_or(&mut env).with_env(0, count).map_err(env_error)?;
         let inner = Mutex::new(Some(Inner { members: Members::new(env, probe, images), outputs }));
-        Ok(Self { process: std::process::id(), images: arrays.unbind(), inner, environments, action_size })
+        let (process, device) = (std::process::id(), device.to_string());
+        Ok(Self { process, images: arrays.unbind(), inner, environments, drones, action_size, device })
     }
 
     /// Starts an episode in every environment, or in those of a mask, and returns the observations, float32 (num_envs,
@@ -253,33 +258,87 @@ impl Batch {
     /// Returns the present state of a drone, float64 (20,): position, quaternion (w, x, y, z), roll, pitch and yaw,
     /// velocity, angular velocity in the body frame, motor speeds.
     fn state<'py>(&self, py: Python<'py>, index: usize, drone: usize) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        self.with(py, |inner| {
-            let state = inner.env.kinematic(index, drone);
-            Ok(state.ok_or_else(|| self.no_environment(index))?.to_pyarray(py))
-        })
+        self.check_drone(index, drone)?;
+        self.with(py, |inner| Ok(inner.env.kinematic(index, drone).ok_or_else(unreadable)?.to_pyarray(py)))
     }
 
     /// Returns the present states of all drones, float64 (num_envs, drones, 20), in the layout of `state`.
     fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let (drones, numbers) = self.work(py, |inner| {
-            let drones = (0..).take_while(|&drone| inner.env.kinematic(0, drone).is_some()).count();
-            let mut numbers = Vec::with_capacity(self.environments * drones * KIN_SIZE);
-            let all = (0..self.environments).flat_map(|i| (0..drones).map(move |drone| (i, drone)));
-            all.filter_map(|(i, drone)| inner.env.kinematic(i, drone)).for_each(|state| numbers.extend(state));
-            Ok((drones, numbers))
+        let numbers = self.work(py, |inner| {
+            let mut numbers = Vec::with_capacity(self.environments * self.drones * KIN_SIZE);
+            for (index, drone) in self.all_drones() {
+                numbers.extend(inner.env.kinematic(index, drone).ok_or_else(unreadable)?);
+            }
+            Ok(numbers)
         })?;
-        numbers.into_pyarray(py).reshape([self.environments, drones, KIN_SIZE])
+        numbers.into_pyarray(py).reshape([self.environments, self.drones, KIN_SIZE])
     }
 
     /// Returns charge, voltage and current of all batteries, float64 (num_envs, drones, 3); NaN without a battery.
     fn batteries<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let (drones, numbers) = self.work(py, |inner| {
-            let drones = (0..).take_while(|&drone| inner.env.kinematic(0, drone).is_some()).count();
-            let all = (0..self.environments).flat_map(|i| (0..drones).map(move |drone| (i, drone)));
-            let numbers: Vec<f64> = all.flat_map(|(i, drone)| battery_numbers(inner.env.battery(i, drone))).collect();
-            Ok((drones, numbers))
+        let numbers: Vec<f64> = self.work(py, |inner| {
+            Ok(self.all_drones().flat_map(|(index, drone)| battery_numbers(inner.env.battery(index, drone))).collect())
         })?;
-        numbers.into_pyarray(py).reshape([self.environments, drones, 3])
+        numbers.into_pyarray(py).reshape([self.environments, self.drones, 3])
+    }
+
+    /// Returns charge, voltage and current of the batteries of an environment, float64 (drones, 3); NaN without a
+    /// battery.
+    fn battery<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        self.check_drone(index, 0)?;
+        let numbers: Vec<f64> = self.with(py, |inner| {
+            Ok((0..self.drones).flat_map(|drone| battery_numbers(inner.env.battery(index, drone))).collect())
+        })?;
+        numbers.into_pyarray(py).reshape([self.drones, 3])
+    }
+
+    /// Returns the parameters of a drone's airframe in the present episode of an environment, with the keys of an
+    /// airframe file.
+    fn drone_params<'py>(&self, py: Python<'py>, index: usize, drone: usize) -> PyResult<Bound<'py, PyAny>> {
+        self.with_env(py, index, |env| {
+            let drone = checked_drone(env.simulation(), drone)?;
+            conditions::python_of(py, env.simulation().params(drone))
+        })
+    }
+
+    /// Returns position (m), velocity (m/s) and yaw (rad) of the reference of a drone in the world frame.
+    fn reference<'py>(&self, py: Python<'py>, index: usize, drone: usize) -> PyResult<Target<'py>> {
+        self.with_env(py, index, |env| {
+            let drone = checked_drone(env.simulation(), drone)?;
+            Ok(target(py, env, drone))
+        })
+    }
+
+    /// Returns the terms of the rewards of the last step by name, float64 (num_envs, drones). They are NaN for an
+    /// environment that has started an episode since.
+    fn reward_terms<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let mut rows = Rows::new(self.environments, self.drones);
+        self.each_env(py, |index, env| {
+            for drone in 0..self.drones {
+                for (name, value) in env.reward_terms(drone) {
+                    rows.set(name, &[], index, drone, &[value]);
+                }
+            }
+            Ok(())
+        })?;
+        rows.into_dict(py)
+    }
+
+    /// Returns the sampled parameters by name, float64 (num_envs, drones) or, for those with several numbers,
+    /// (num_envs, drones, ...). They are NaN for an environment without randomization.
+    fn sampled_params<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let mut rows = Rows::new(self.environments, self.drones);
+        self.each_env(py, |index, env| {
+            if let Some(sampled) = env.sampled_params() {
+                for drone in 0..self.drones {
+                    conditions::sampled_numbers(sampled, drone, &mut |name, shape, numbers| {
+                        rows.set(name, shape, index, drone, numbers);
+                    })?;
+                }
+            }
+            Ok(())
+        })?;
+        rows.into_dict(py)
     }
 
     /// Returns the info of an environment.
@@ -289,16 +348,7 @@ impl Batch {
 
     /// Returns the metrics of an environment's task.
     fn metrics<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
-        self.with_env(py, index, |env| {
-            let dict = PyDict::new(py);
-            let mut done = Ok(());
-            env.metrics(&mut |name, value| {
-                if let Err(error) = dict.set_item(name, value) {
-                    done = Err(error);
-                }
-            });
-            done.map(|()| dict)
-        })
+        self.with_env(py, index, |env| metrics_dict(py, env))
     }
 
     /// Sets the wind of an environment from now on; None for still air.
@@ -352,7 +402,8 @@ impl Batch {
             let params = simulation.params(0);
             dict.set_item("mass", params.mass)?;
             dict.set_item("hover_rpm", params.hover_rpm())?;
-            dict.set_item("max_rpm", params.max_rpm())
+            dict.set_item("max_rpm", params.max_rpm())?;
+            dict.set_item("action_type", env.action_type().name())
         })?;
         Ok(dict)
     }
@@ -385,6 +436,7 @@ impl Batch {
         let view = view.parse().map_err(crate::error::value_error)?;
         let mut rgb = vec![0; 3 * (width as usize) * (height as usize)];
         self.work(py, |inner| {
+            self.check_device(inner)?;
             let mut done = Ok(());
             let look = &mut |env: &mut dyn DroneEnv| done = env.render(view, ImageSize { width, height }, &mut rgb);
             inner.env.with_env(index, look).and(done).map_err(env_error)
@@ -461,11 +513,48 @@ impl Batch {
         look: impl FnOnce(&mut dyn DroneEnv) -> PyResult<R>,
     ) -> PyResult<R> {
         self.with(py, |inner| {
+            self.check_device(inner)?;
             let (mut look, mut result) = (Some(look), None);
             let call = &mut |env: &mut dyn DroneEnv| result = look.take().map(|look| look(env));
             inner.env.with_env(index, call).map_err(env_error)?;
             result.unwrap_or_else(|| Err(gone()))
         })
+    }
+
+    /// Calls a function with the index of every environment and the environment as a single one, without the GIL.
+    fn each_env(
+        &self,
+        py: Python<'_>,
+        mut look: impl FnMut(usize, &mut dyn DroneEnv) -> PyResult<()> + Send,
+    ) -> PyResult<()> {
+        self.work(py, |inner| {
+            self.check_device(inner)?;
+            for index in 0..self.environments {
+                let mut done = Ok(());
+                inner.env.with_env(index, &mut |env| done = look(index, env)).map_err(env_error)?;
+                done?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Returns the indices of all environments and drones.
+    fn all_drones(&self) -> impl Iterator<Item = (usize, usize)> {
+        let drones = self.drones;
+        (0..self.environments).flat_map(move |index| (0..drones).map(move |drone| (index, drone)))
+    }
+
+    /// Returns an error if the environments are on a GPU, where only their states can be read.
+    fn check_device(&self, inner: &Members) -> PyResult<()> {
+        if inner.probe.is_none() {
+            return Ok(());
+        }
+        let expected = "expected \"cpu\": an environment on a GPU gives access to its states alone";
+        Err(PyValueError::new_err(format!("device is {:?}, {expected}", self.device)))
+    }
+
+    fn check_drone(&self, index: usize, drone: usize) -> PyResult<()> {
+        if index < self.environments && drone < self.drones { Ok(()) } else { Err(self.no_environment(index)) }
     }
 
     /// Calls a function with an environment that has the constants of all.
@@ -483,6 +572,51 @@ impl Batch {
             "environment {index} or its drone does not exist, expected an environment from 0 to {}",
             self.environments - 1
         ))
+    }
+}
+
+/// Returns the error of states that a device does not return.
+fn unreadable() -> PyErr {
+    PyRuntimeError::new_err("the states cannot be read from the memory of the GPU")
+}
+
+/// Numbers of all drones of a batch by name.
+struct Rows {
+    environments: usize,
+    drones: usize,
+    /// Name, shape of the numbers of one drone, and the numbers of all drones; NaN where they are not set.
+    named: Vec<(String, Vec<usize>, Vec<f64>)>,
+}
+
+impl Rows {
+    fn new(environments: usize, drones: usize) -> Self {
+        Self { environments, drones, named: Vec::new() }
+    }
+
+    /// Sets the numbers of one drone, which have a shape.
+    fn set(&mut self, name: &str, shape: &[usize], index: usize, drone: usize, numbers: &[f64]) {
+        let size = numbers.len();
+        let place = match self.named.iter().position(|(known, ..)| known == name) {
+            Some(place) => place,
+            None => {
+                let all = vec![f64::NAN; self.environments * self.drones * size];
+                self.named.push((name.to_string(), shape.to_vec(), all));
+                self.named.len() - 1
+            }
+        };
+        let start = (index * self.drones + drone) * size;
+        if let Some(row) = self.named[place].2.get_mut(start..start + size) {
+            row.copy_from_slice(numbers);
+        }
+    }
+
+    fn into_dict(self, py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+        let dict = PyDict::new(py);
+        for (name, shape, numbers) in self.named {
+            let shape: Vec<usize> = [self.environments, self.drones].into_iter().chain(shape).collect();
+            dict.set_item(name, numbers.into_pyarray(py).reshape(shape)?)?;
+        }
+        Ok(dict)
     }
 }
 

@@ -34,6 +34,21 @@ def test_the_cpu_is_the_default():
     env.close()
 
 
+def test_a_gpu_has_no_images_for_people():
+    with pytest.raises(ValueError, match=r"^render_mode is 'rgb_array', expected None with device='gpu'$"):
+        VectorAviary("hover", 2, device="gpu", render_mode="rgb_array")
+
+
+def test_an_environment_of_the_gpu_has_its_state_alone():
+    env = gpu()
+    env.reset(seed=1)
+    assert env.states().shape == (8, 1, 20) and env.batteries().shape == (8, 1, 3)
+    assert env.envs[3].pos.shape == (1, 3) and env.metadata["render_modes"] == []
+    for call in (env.envs[0].info, env.reward_terms, lambda: env.envs[0].set_wind(None)):
+        with pytest.raises(ValueError, match=r'^device is "gpu", expected "cpu": an environment on a GPU gives access'):
+            call()
+
+
 def test_a_flight_on_the_gpu_is_close_to_that_on_the_cpu():
     envs = [gpu(), VectorAviary("hover", 8)]
     assert envs[0].single_observation_space == envs[1].single_observation_space

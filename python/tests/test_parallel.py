@@ -134,6 +134,73 @@ def test_the_end_needs_a_reset():
     assert env.num_agents == 3
 
 
+class Own(MultiAgentAviary):
+    """A subclass with another constructor."""
+
+    def __init__(self, count):
+        super().__init__(count, task="antipodal")
+        self.note = "mine"
+
+
+def test_copies_of_subclasses_and_of_changed_conditions():
+    env = Own(3)
+    env.set_wind({"model": "constant", "velocity": (2.0, 0.0, 0.0)})
+    env.set_randomization({"body": {"mass": (0.5, 0.6)}})
+    other = pickle.loads(pickle.dumps(env))
+    assert type(other) is Own and (other.note, other.NUM_DRONES, other.agents) == ("mine", 3, [])
+    for own in (env, other):
+        own.reset(seed=1)
+        for _ in range(20):
+            own.step({agent: np.full(4, 0.1) for agent in own.agents})
+    np.testing.assert_array_equal(env.state(), other.state())
+
+
+def test_wind_and_sampled_parameters_of_agents():
+    env, calm = (MultiAgentAviary(2, act_type="vel") for _ in range(2))
+    assert env.sampled_params() is None
+    env.set_wind({"model": "constant", "velocity": (3.0, 0.0, 0.0)})
+    for own in (env, calm):
+        own.reset(seed=1)
+        for _ in range(40):
+            own.step({agent: np.array([0.0, 0.0, 0.5, 0.0]) for agent in own.agents})
+    assert (env.pos[:, 0] > calm.pos[:, 0] + 1e-3).all()
+    env.set_randomization({"body": {"mass": (0.5, 0.6)}})
+    env.reset(seed=1)
+    factors = [drone["mass"] for drone in env.sampled_params()["drones"]]
+    assert all(0.5 <= factor <= 0.6 for factor in factors)
+    assert pytest.approx(factors[0] * 0.027) == env.M
+    with pytest.raises(ValueError, match="wind"):
+        env.set_wind({"model": "storm"})
+    ranged = MultiAgentAviary(2, randomization={"environment": {"wind": (0.0, 3.0)}})
+    with pytest.raises(ValueError, match="wind"):
+        ranged.set_wind({"model": "gust"})
+
+
+def test_metrics_of_agents():
+    env = parallel_env("race", num_drones=2)
+    env.reset(seed=1)
+    assert env.metrics() == {"gates_passed": 0.0}
+
+
+def test_terms_of_the_reward_of_agents():
+    env = MultiAgentAviary(num_drones=3, initial_xyzs=[[0, 0, 0.6], [1, 0, 0.6], [2, 0, 0.6]])
+    env.reset(seed=1)
+    assert env.reward_terms("drone0") == {}
+    while len(env.agents) == 3:
+        _, rewards, *_ = env.step({"drone0": np.zeros(4), "drone1": -np.ones(4), "drone2": np.zeros(4)})
+        for agent, reward in rewards.items():
+            assert sum(env.reward_terms(agent).values()) == reward
+    assert env.reward_terms("drone1")["crash"] == -100.0
+    env.step(dict.fromkeys(env.agents, np.zeros(4)))
+    assert env.reward_terms("drone1") == {} and env.reward_terms("drone2")["crash"] == 0.0
+    with pytest.raises(ValueError, match=r"^agent is 'drone7', expected one of drone0, drone1, drone2$"):
+        env.reward_terms("drone7")
+
+
+def test_action_types_of_agents():
+    assert parallel_env("hover", act_type="ctbr").action_type == "ctbr"
+
+
 def test_seeds_streams_and_state():
     env = parallel_env("stabilize", num_drones=2)
     first, _ = env.reset(seed=4)

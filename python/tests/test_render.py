@@ -27,6 +27,35 @@ def test_views():
         env.render("side")
 
 
+def test_the_option_camera_is_that_of_render():
+    options = {"render_mode": "rgb_array", "width": 80, "height": 60}
+    env = gym.make("mujoco_drones_gym/Hover-v0", camera="top", **options)
+    env.reset(seed=1)
+    plain = mdg.HoverAviary(**options)
+    plain.reset(seed=1)
+    images = {view: plain.render(view) for view in VIEWS}
+    assert (env.render() == images["top"]).all() and (env.unwrapped.render("fpv") == images["fpv"]).all()
+    batch = mdg.VectorAviary("hover", 2, camera="front", **options)
+    batch.reset(seed=1)
+    assert (batch.render()[0] == images["front"]).all()
+    assert (batch.envs[0].render("top") == images["top"]).all()
+    for make in (mdg.HoverAviary, lambda **options: mdg.VectorAviary("hover", **options)):
+        with pytest.raises(ValueError, match=r"^camera is 'side', expected track, fpv, fixed, front or top$"):
+            make(camera="side")
+    with pytest.raises(ValueError, match=r"^camera_mode is 'side', expected track"):
+        batch.envs[0].render("side")
+
+
+def test_cameras_of_agents():
+    pytest.importorskip("pettingzoo")
+    options = {"render_mode": "rgb_array", "width": 80, "height": 60}
+    env = mdg.MultiAgentAviary(2, camera="top", **options)
+    env.reset(seed=1)
+    assert (env.render() == env.render("top")).all() and (env.render() != env.render("fpv")).any()
+    with pytest.raises(ValueError, match=r"^camera is 'side', expected track"):
+        mdg.MultiAgentAviary(camera="side")
+
+
 def test_default_size_and_render_modes():
     env = gym.make("mujoco_drones_gym/Hover-v0", render_mode="rgb_array")
     env.reset(seed=1)

@@ -39,8 +39,35 @@ def test_steps_equal_those_of_a_vector_environment():
                 ended += 1
                 np.testing.assert_array_equal(info["terminal_observation"], ends["final_obs"][i])
                 assert info["end"] == ends["final_info"]["end"][i] and info["is_success"] is False
+                for key in ("time", "progress", "position_error", "crashed", "success"):
+                    assert info[key] == ends["final_info"][key][i] and type(info[key]) in (float, bool)
     assert ended >= 30
     env.close()
+
+
+def test_infos_of_a_reset():
+    env = SB3VecEnv("multi_hover", 3)
+    env.reset()
+    assert [info["time"] for info in env.reset_infos] == [0.0] * 3
+    assert set(env.reset_infos[0]) == {"time", "success", "progress", "position_error", "crashed"}
+
+
+class Own(SB3VecEnv):
+    """A subclass with another constructor."""
+
+    def __init__(self, count):
+        super().__init__("hover", count)
+        self.note = "mine"
+
+
+def test_copies_of_subclasses():
+    env = Own(3)
+    env.set_attr("TARGET_HEIGHT", 0.7, indices=1)
+    other = pickle.loads(pickle.dumps(env))
+    assert type(other) is Own and (other.num_envs, other.note) == (3, "mine")
+    assert other.get_attr("TARGET_HEIGHT") == [1.0, 0.7, 1.0]
+    other.reset()
+    assert other.step(np.zeros((3, 4)))[0].shape == (3, 12)
 
 
 def test_terminations_are_no_time_limits():

@@ -83,7 +83,9 @@ def compare(task, count, mode, threads, steps, **options):
                 continue
             np.testing.assert_array_equal(obs[i], last)
             if done[i]:
-                assert (infos["success"][i], infos["end"][i]) == (info["success"], info["end"])
+                for key in ("success", "end", "time", "progress", "position_error", "crashed", "is_success"):
+                    assert infos[key][i] == info[key], key
+                    np.testing.assert_array_equal(infos[f"_{key}"], infos["_success"])
             states = np.stack([env._getDroneStateVector(drone) for drone in range(env.NUM_DRONES)])
             np.testing.assert_array_equal(batch.states()[i], states)
         key = "_final_obs" if mode is AutoresetMode.SAME_STEP else "_success"

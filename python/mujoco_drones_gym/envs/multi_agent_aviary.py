@@ -15,15 +15,22 @@ from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     action_numbers,
+    camera_of,
     check_reset_options,
     drone_index,
     native_options,
+    randomization_options,
+    replace_wind,
     seed_of,
+    wind_options,
 )
 from mujoco_drones_gym._states import DroneStates
 from mujoco_drones_gym._window import Window, render_modes
 
 __all__ = ["MultiAgentAviary", "parallel_env"]
+
+#: Attributes that a copy does not have.
+_NOT_COPIED = ("_env", "_window", "_started", "_stepped", "agents")
 
 
 class MultiAgentAviary(DroneStates, ParallelEnv):
@@ -54,6 +61,7 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         task, native, render = native_options(task, options, has_window=True)
         self.render_mode = render.mode
         self._frame_size = (render.width, render.height)
+        self._camera = render.camera
         _opengl.prepare()
         self._env = _native.Parallel(task, native)
         self._started = False
@@ -65,6 +73,10 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         self.CTRL_TIMESTEP = 1.0 / self.CTRL_FREQ
         self.HOVER_RPM: float = constants["hover_rpm"]
         self.MAX_RPM: float = constants["max_rpm"]
+        #: Name of the action type.
+        self.action_type: str = constants["action_type"]
+        # the agents of the last step
+        self._stepped: list[str] = []
         self._window = Window(type(self).__name__, self.CTRL_TIMESTEP) if render.mode == "human" else None
         self.metadata = {
             "name": f"{task}_v0",
@@ -114,6 +126,7 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         observations, infos = self._env.reset(seed)
         self.agents = self._env.agents
         self._started = True
+        self._stepped = []
         if self._window is not None:
             self._window.reset(self._env)
         return self._packed(observations), infos
@@ -149,6 +162,7 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
             observations, rewards, terminations, truncations, infos = self._env.step(own)
         finally:
             self.agents = self._env.agents
+        self._stepped = list(rewards)
         if self._window is not None:
             self._window.step(self._env)
         return self._packed(observations), rewards, terminations, truncations, infos
@@ -161,26 +175,74 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         """
         return self._env.state().astype(np.float32)
 
-    def render(self) -> np.ndarray | None:
-        """Returns a frame, uint8 (height, width, 3), if the render mode is "rgb_array".
+    def render(self, camera_mode: str | None = None) -> np.ndarray | None:
+        """Returns an image of the present state, or shows the present state in the window.
 
-        In the mode "human", it shows the present state in the window.
+        Args:
+            camera_mode: "track" (follows the drones), "fpv" (onboard), "fixed", "front" or "top"; None for the option
+                `camera`.
+
+        Returns:
+            Image, uint8 (height, width, 3). None without a `camera_mode`, if the render mode is "human" or None.
         """
         if not self._started:
             raise ResetNeeded("render was called before the first reset, expected a call of reset first")
-        if self.render_mode is None:
+        camera = self._camera if camera_mode is None else camera_of("camera_mode", camera_mode)
+        if self.render_mode is None and camera_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
-        if self._window is not None:
+        if self._window is not None and camera_mode is None:
             self._window.refresh(self._env)
             return None
-        return self._env.render("track", *self._frame_size)
+        return self._env.render(camera, *self._frame_size)
 
     def close(self) -> None:
         """Ends the episode, and closes the window, if there is one. The next `reset` opens another one."""
         self.agents = []
         if self._window is not None:
             self._window.close()
+
+    def set_wind(self, wind: Any) -> None:
+        """Sets the wind from now on, also for later episodes.
+
+        Args:
+            wind: A `WindConfig`, a dict with the keys of the section `[wind]`, or None for still air. It replaces the
+                default wind of a randomization.
+
+        Raises:
+            ValueError: next to a range of the wind in the randomization; nothing has changed.
+        """
+        replace_wind(self._env, wind_options(wind), self._arguments.get("randomization"), self.CTRL_FREQ)
+        self._arguments["wind"] = wind
+
+    def set_randomization(self, randomization: Any) -> None:
+        """Sets the parameters that are sampled for every episode from the next reset on.
+
+        Args:
+            randomization: A `DomainRandomizationConfig`, a dict of groups, True for the paper's ranges, or None.
+        """
+        wind = wind_options(self._arguments.get("wind"))
+        self._env.set_randomization(randomization_options(randomization, self.CTRL_FREQ, wind))
+        self._arguments["randomization"] = randomization
+
+    def sampled_params(self) -> dict[str, Any] | None:
+        """Returns the sampled parameters of this episode; None without randomization."""
+        return self._env.sampled_params()
+
+    def metrics(self) -> dict[str, float]:
+        """Returns the scalar metrics of the task by name."""
+        return self._env.metrics()
+
+    def reward_terms(self, agent: str) -> dict[str, float]:
+        """Returns the terms of the reward of an agent in the last step by name; their sum is the reward of the agent.
+
+        Bonuses are positive, penalties negative. The dict is empty before the first step of an episode, and for an
+        agent that has left before the last step.
+        """
+        if agent not in self.possible_agents:
+            expected = f"one of {', '.join(self.possible_agents)}"
+            raise ValueError(f"agent is {short(agent)}, expected {expected}")
+        return self._env.reward_terms(self.possible_agents.index(agent)) if agent in self._stepped else {}
 
     def drone_params(self, nth_drone: int = 0) -> dict[str, Any]:
         """Returns the parameters of a drone's airframe in this episode, with the keys of an airframe file."""
@@ -209,12 +271,14 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
     def _packed(self, observations: dict[str, dict[str, Any]]) -> dict[str, Any]:
         return {agent: _layout.pack(parts) for agent, parts in observations.items()}
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (self._arguments,)
+    def __getstate__(self) -> dict[str, Any]:
+        # a copy has the options of the environment and starts without an episode
+        return {name: value for name, value in self.__dict__.items() if name not in _NOT_COPIED}
 
-
-def _rebuilt(arguments: dict[str, Any]) -> MultiAgentAviary:
-    return MultiAgentAviary(**arguments)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        own = dict(state)
+        MultiAgentAviary.__init__(self, **own.pop("_arguments"))
+        self.__dict__.update(own)
 
 
 def parallel_env(task: str = "multi_agent", **options: Any) -> MultiAgentAviary:
