@@ -187,13 +187,12 @@ impl Curriculum {
     }
 }
 
+/// Function that gets a name, the shape of the numbers, and the numbers.
+pub type NumberReport<'a> = dyn FnMut(&str, &[usize], &[f64]) + 'a;
+
 /// Reports the sampled numbers of a drone by name, with their shapes: those of the drone and those of the environment.
 /// The names have dots, as in `actuators.lag`.
-pub fn sampled_numbers(
-    sampled: &SampledParams,
-    drone: usize,
-    report: &mut dyn FnMut(&str, &[usize], &[f64]),
-) -> PyResult<()> {
+pub fn sampled_numbers(sampled: &SampledParams, drone: usize, report: &mut NumberReport<'_>) -> PyResult<()> {
     let mut report_all = |table: Value| {
         if let Value::Table(table) = table {
             table.iter().for_each(|(name, value)| report_numbers(name, value, report));
@@ -207,7 +206,7 @@ pub fn sampled_numbers(
     Ok(())
 }
 
-fn report_numbers(name: &str, value: &Value, report: &mut dyn FnMut(&str, &[usize], &[f64])) {
+fn report_numbers(name: &str, value: &Value, report: &mut NumberReport<'_>) {
     if let Value::Table(table) = value {
         table.iter().for_each(|(key, value)| report_numbers(&format!("{name}.{key}"), value, report));
         return;
