@@ -261,7 +261,7 @@ fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>>
 
 /// Reads a section of options from a Python dict. Its errors have one line with the name of the option.
 pub fn section<T: DeserializeOwned>(name: &str, options: &Bound<'_, PyAny>) -> PyResult<T> {
-    let value = from_python(name, options)?;
+    let value = from_python(name, options, 0)?;
     if !value.is_table() {
         let got = shown(options);
         return Err(value_error(format_args!("{name} is {got}, expected a dict of options")));
@@ -303,9 +303,18 @@ fn without_type(message: &str) -> String {
     message.strip_prefix("string ").unwrap_or(message).to_string()
 }
 
+/// Largest number of nested lists, dicts, arrays and enums in an option.
+const MAX_DEPTH: usize = 16;
+
 /// Converts plain Python values: numbers, strings, lists, tuples, dicts, arrays and enums. `None` in a dict is a
-/// missing option.
-fn from_python(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
+/// missing option. `depth` is the number of values that contain this one: a value that contains itself is an error.
+fn from_python(name: &str, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<Value> {
+    if depth > MAX_DEPTH {
+        let option = name.split('.').next().unwrap_or(name);
+        return Err(value_error(format_args!(
+            "{option} has more than {MAX_DEPTH} levels of lists and dicts, expected at most {MAX_DEPTH}"
+        )));
+    }
     if let Ok(flag) = value.cast::<PyBool>() {
         Ok(Value::Boolean(flag.is_true()))
     } else if let Ok(number) = value.cast::<PyInt>() {
@@ -324,20 +333,20 @@ fn from_python(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
                 return Err(value_error(format_args!("a key of {name} is {}, expected a string", shown(&key))));
             };
             if !value.is_none() {
-                let value = from_python(&format!("{name}.{key}"), &value)?;
+                let value = from_python(&format!("{name}.{key}"), &value, depth + 1)?;
                 table.insert(key, value);
             }
         }
         Ok(Value::Table(table))
     } else if value.cast::<PyList>().is_ok() || value.cast::<PyTuple>().is_ok() {
-        let values = value.try_iter()?.map(|value| from_python(name, &value?));
+        let values = value.try_iter()?.map(|value| from_python(name, &value?, depth + 1));
         Ok(Value::Array(values.collect::<PyResult<_>>()?))
     } else if let Ok(plain) = value.call_method0("tolist") {
         // arrays and scalars of numpy
-        from_python(name, &plain)
+        from_python(name, &plain, depth + 1)
     } else if let Ok(own) = value.getattr("value") {
         // enums
-        from_python(name, &own)
+        from_python(name, &own, depth + 1)
     } else {
         Err(PyValueError::new_err(format!("{name} is {}, expected a number, a string, a list or a dict", shown(value))))
     }

@@ -453,3 +453,33 @@ def test_track():
         mdg.RaceAviary(track="ovale")
     with pytest.raises(ValueError, match=r"track is 3, expected the name of a track, a TOML file, or a dict"):
         mdg.RaceAviary(track=3)
+
+
+class Within:
+    """An object whose value is one of its own kind, without an end."""
+
+    @property
+    def value(self):
+        return Within()
+
+    def __repr__(self):
+        return "within"
+
+
+def test_values_that_contain_themselves():
+    from mujoco_drones_gym import _native
+
+    own = {}
+    own["a"] = own
+    endless = []
+    endless.append(endless)
+    for name in ("drone_model", "track"):
+        for value in (own, {"a": endless}, {"a": Within()}):
+            with pytest.raises(ValueError, match=f"^{name} has more than 16 levels of lists and dicts"):
+                _native.Env("race", {name: value})
+    with pytest.raises(ValueError, match=r"^drone_model .*16 levels"):
+        mdg.HoverAviary(drone_model=own)
+    with pytest.raises(ValueError, match=r"^drone_model .*16 levels"):
+        mdg.PIDControl(drone_model=own)
+    with pytest.raises(ValueError, match=r"^wind .*16 levels"):
+        _native.complete_options("wind", {"model": "constant", "velocity": endless})
