@@ -136,17 +136,20 @@ impl Pilot {
         let simulation = self.env().simulation();
         (0..self.num_drones()).find_map(|drone| {
             let start = simulation.states()[drone].position;
-            let points: Vec<_> = match self.path(drone) {
+            let is_blocked = |place: &Vector3<f64>| self.is_blocked(drone, place);
+            let found = match self.path(drone) {
                 Some(path) => {
-                    let ticks = (path.duration() / 0.02).ceil() as u32;
-                    (0..=ticks).map(|tick| path.reference(f64::from(tick) * 0.02).position).collect()
+                    // a trajectory may take much longer than an episode
+                    let seconds = path.duration().min(self.episode_seconds());
+                    let ticks = (seconds / 0.02).ceil() as u64;
+                    (0..=ticks).map(|tick| path.reference(tick as f64 * 0.02).position).find(is_blocked)
                 }
                 None => {
                     let path = self.env().reference(drone).position - start;
-                    (0..=100).map(|i| start + path * f64::from(i) / 100.0).collect()
+                    (0..=100).map(|i| start + path * f64::from(i) / 100.0).find(is_blocked)
                 }
             };
-            points.into_iter().find(|place| self.is_blocked(drone, place)).map(|place| (drone, place))
+            found.map(|place| (drone, place))
         })
     }
 
