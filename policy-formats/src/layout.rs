@@ -112,10 +112,20 @@ fn of_action(action_type: ActionType) -> Vec<Entry> {
     }
 }
 
-/// Returns the entries of all drones of a policy in their order, given those of one.
-fn of_drones(info: &PolicyInfo, of_one: &[Entry]) -> Vec<Entry> {
-    if info.per_drone || info.num_drones == 1 {
-        return of_one.to_vec();
+/// Returns the number of drones that an observation or action of a policy has entries of.
+fn drones(info: &PolicyInfo) -> usize {
+    if info.per_drone { 1 } else { info.num_drones }
+}
+
+/// Returns the entries of all drones of a policy in their order, given those of one, or `None` unless there are `size`
+/// of them.
+fn of_drones(info: &PolicyInfo, of_one: &[Entry], size: usize) -> Option<Vec<Entry>> {
+    // the number of drones may be any, and must not size the list before it is checked
+    if drones(info).checked_mul(of_one.len()) != Some(size) {
+        return None;
+    }
+    if drones(info) == 1 {
+        return Some(of_one.to_vec());
     }
     let of_drone = |drone: usize| {
         let named = move |entry: &Entry| {
@@ -124,7 +134,7 @@ fn of_drones(info: &PolicyInfo, of_one: &[Entry]) -> Vec<Entry> {
         };
         of_one.iter().map(named)
     };
-    (0..info.num_drones).flat_map(of_drone).collect()
+    Some((0..info.num_drones).flat_map(of_drone).collect())
 }
 
 /// Returns the entries of the observation of a policy with `size` entries. They have numbers for names if the task of
@@ -141,24 +151,23 @@ fn of_drones(info: &PolicyInfo, of_one: &[Entry]) -> Vec<Entry> {
 /// # Ok::<(), aviary::policy::PolicyError>(())
 /// ```
 pub fn observation(info: &PolicyInfo, size: usize) -> Vec<Entry> {
-    let drones = if info.per_drone { 1 } else { info.num_drones };
-    let entries = of_task(&info.task).map(|mut entries| {
+    let entries = of_task(&info.task).and_then(|mut entries| {
         // races through frames also observe the directions of the next two gates
-        if info.task == "race" && size == drones * (entries.len() + 6) {
+        if info.task == "race" && drones(info).checked_mul(entries.len() + 6) == Some(size) {
             entries.extend(axes("GATE_NORMAL", "normal of the next gate", "body frame"));
             entries.extend(axes("GATE_AFTER_NORMAL", "normal of the gate after the next", "body frame"));
         }
-        of_drones(info, &entries)
+        of_drones(info, &entries, size)
     });
-    entries.filter(|entries| entries.len() == size).unwrap_or_else(|| Entry::numbered("ENTRY", size))
+    entries.unwrap_or_else(|| Entry::numbered("ENTRY", size))
 }
 
 /// Returns the entries of the action of a policy with `size` entries. They have numbers for names if the action type
 /// has another number of entries or is unknown.
 pub fn action(info: &PolicyInfo, size: usize) -> Vec<Entry> {
     let action_type = info.action_type.parse::<ActionType>().ok();
-    let entries = action_type.map(|action_type| of_drones(info, &of_action(action_type)));
-    entries.filter(|entries| entries.len() == size).unwrap_or_else(|| Entry::numbered("ENTRY", size))
+    let entries = action_type.and_then(|action_type| of_drones(info, &of_action(action_type), size));
+    entries.unwrap_or_else(|| Entry::numbered("ENTRY", size))
 }
 
 /// Returns what the entries of a policy do not say: the frames, the target of hover, and the motors of an airframe, one
@@ -260,6 +269,17 @@ mod tests {
         let of = |drones: usize| observation(&info("race", ActionType::Rpm, drones), 27 * drones);
         assert_eq!((of(1)[21].name.as_str(), of(1)[26].name.as_str()), ("GATE_NORMAL_X", "GATE_AFTER_NORMAL_Z"));
         assert_eq!(of(2)[53].name, "DRONE1_GATE_AFTER_NORMAL_Z");
+    }
+
+    #[test]
+    fn huge_numbers_of_drones_have_numbered_entries() {
+        for drones in [1 << 40, usize::MAX] {
+            for task in ["hover", "race"] {
+                let info = info(task, ActionType::Rpm, drones);
+                assert_eq!(observation(&info, 12)[11].name, "ENTRY11");
+                assert_eq!(action(&info, 4)[3].name, "ENTRY3");
+            }
+        }
     }
 
     #[test]

@@ -323,6 +323,17 @@ mod tests {
     }
 
     #[test]
+    fn numbers_of_drones_that_no_simulation_has_are_errors() {
+        let policy = policy();
+        for num_drones in [0, 257, usize::MAX] {
+            let info = PolicyInfo { num_drones, ..policy.info.clone() };
+            let bytes = PolicyNetwork { info, ..policy.clone() }.to_bytes().unwrap();
+            let error = PolicyNetwork::from_bytes(&bytes).unwrap_err().to_string();
+            assert_eq!(error, format!("the number of drones is {num_drones}, expected 1 to 256"));
+        }
+    }
+
+    #[test]
     fn errors_name_the_missing_or_invalid_part() {
         let refused = |bytes: &[u8]| PolicyNetwork::from_bytes(bytes).unwrap_err().to_string();
         assert!(refused(b"").starts_with("not a policy"));

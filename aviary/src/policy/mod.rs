@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::SystemError;
 use crate::action::ActionType;
 use crate::env::DroneEnv;
+use crate::simulation::Simulation;
 
 /// Error of a policy.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -265,8 +266,9 @@ impl PolicyNetwork {
         if !versions.contains(&info.version) {
             return wrong("the version", info.version.to_string(), expected);
         }
-        if info.num_drones == 0 {
-            return wrong("the number of drones", "0".into(), "at least 1");
+        if !(1..=Simulation::MAX_DRONES).contains(&info.num_drones) {
+            let expected = format!("1 to {}", Simulation::MAX_DRONES);
+            return wrong("the number of drones", info.num_drones.to_string(), &expected);
         }
         Ok(Self { info, mean, deviation, gru, net, low, high })
     }
