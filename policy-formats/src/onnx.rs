@@ -1,5 +1,6 @@
 //! Policies as ONNX.
 
+mod limits;
 mod model;
 mod reader;
 mod writer;

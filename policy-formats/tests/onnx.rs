@@ -352,6 +352,58 @@ fn files_that_do_not_fit_are_errors_of_one_line() {
     assert_eq!(refused(value, "hover"), "1 outputs (`value`); 12 observations and 4 actions (rpm)");
 }
 
+fn integers(name: &str, numbers: &[i64]) -> TensorProto {
+    TensorProto {
+        dims: vec![numbers.len() as i64],
+        data_type: Some(DataType::INT64),
+        raw_data: Some(RefCell::new(numbers.iter().flat_map(|x| x.to_le_bytes()).collect())),
+        name: Some(name.into()),
+        ..TensorProto::default()
+    }
+}
+
+/// Returns the error of a graph with the output `act`, when it is read or evaluated.
+fn error_of(node: Vec<NodeProto>, initializer: Vec<TensorProto>) -> String {
+    let (input, output) = (vec![value("obs", &[None, Some(12)])], vec![value("act", &[])]);
+    let bytes = file(GraphProto { node, initializer, input, output, value_info: Vec::new() }, &[]);
+    let error = read(bytes).and_then(|policy| policy.actions(&[0.0; 12], 1)).unwrap_err().to_string();
+    assert!(error.starts_with("not a policy in ONNX: ") && !error.contains('\n'), "{error}");
+    error
+}
+
+#[test]
+fn operators_and_sizes_that_no_policy_needs_are_errors() {
+    let huge = [1_000_000, 1_000_000, 1, 1];
+    for (operator, inputs) in
+        [("Expand", &["obs", "sizes"][..]), ("Tile", &["obs", "sizes"]), ("ConstantOfShape", &["sizes"])]
+    {
+        let error = error_of(vec![node(operator, inputs, &["act"], Vec::new())], vec![integers("sizes", &huge)]);
+        assert!(error.contains(operator) && error.contains("larger than 16777216 entries"), "{error}");
+    }
+    let ends = [("first", 0.0), ("last", f32::INFINITY), ("step", 1.0)].map(|(name, x)| constant(name, &[], &[x]));
+    let range = node("Range", &["first", "last", "step"], &["act"], Vec::new());
+    assert!(error_of(vec![range], ends.to_vec()).contains("the operator `Range`"));
+    assert!(error_of(vec![node("Loop", &["obs"], &["act"], Vec::new())], Vec::new()).contains("`Loop`"));
+}
+
+/// Sizes that the graph computes are not known before: the runtime panics.
+#[test]
+fn panics_of_the_runtime_are_errors_without_a_message() {
+    /// Variable that is set in the process whose messages are read.
+    const INSIDE: &str = "ONNX_TEST_INSIDE";
+    if std::env::var_os(INSIDE).is_none() {
+        let mut inside = std::process::Command::new(std::env::current_exe().unwrap());
+        inside.args(["panics_of_the_runtime_are_errors_without_a_message", "--exact", "--nocapture"]);
+        let output = inside.env(INSIDE, "1").output().unwrap();
+        let messages = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && messages.is_empty(), "{messages}");
+        return;
+    }
+    let sizes = node("Add", &["large", "large"], &["sizes"], Vec::new());
+    let numbers = node("ConstantOfShape", &["sizes"], &["act"], Vec::new());
+    error_of(vec![sizes, numbers], vec![integers("large", &[1 << 29; 4])]);
+}
+
 fn small() -> PolicyNetwork {
     common::random()
 }

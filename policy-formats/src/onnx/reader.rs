@@ -1,7 +1,9 @@
 //! Evaluation of ONNX files.
 
+use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 
 use aviary::SystemError;
 use aviary::env::DroneEnv;
@@ -12,8 +14,8 @@ use rten::{Dimension, Model, ModelOptions, NodeId, ValueOrView, ValueView};
 
 use rten_tensor::prelude::AsView as _;
 
-use super::METADATA_KEY;
 use super::model::ModelProto;
+use super::{METADATA_KEY, limits};
 use crate::{FormatError, unsupported};
 
 /// Range of the outputs of a graph.
@@ -114,9 +116,42 @@ impl std::fmt::Debug for OnnxPolicy {
     }
 }
 
-fn wrong(message: impl std::fmt::Display) -> FormatError {
+pub(super) fn wrong(message: impl std::fmt::Display) -> FormatError {
     // some errors of the runtime have several lines
     FormatError::Onnx { message: message.to_string().split_whitespace().collect::<Vec<_>>().join(" ") }
+}
+
+thread_local! {
+    /// True on a thread that calls the runtime.
+    static IS_GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Calls the runtime, on one of its threads. A panic of the runtime, to which some invalid graphs lead, is an error and
+/// prints no message.
+fn guarded<T: Send, E: std::fmt::Display + Send>(call: impl FnOnce() -> Result<T, E> + Send) -> Result<T, FormatError> {
+    static QUIET: Once = Once::new();
+    QUIET.call_once(|| {
+        let before = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if !IS_GUARDED.get() {
+                before(panic);
+            }
+        }));
+    });
+    let result = on_threads_of_the_runtime(|| {
+        IS_GUARDED.set(true);
+        let result = catch_unwind(AssertUnwindSafe(call));
+        IS_GUARDED.set(false);
+        result
+    });
+    match result {
+        Ok(result) => result.map_err(wrong),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("unknown cause");
+            Err(wrong(format_args!("the runtime failed: {text}")))
+        }
+    }
 }
 
 impl OnnxPolicy {
@@ -137,12 +172,12 @@ impl OnnxPolicy {
     /// Reads a policy from the bytes of a file.
     ///
     /// # Errors
-    /// [`FormatError::Onnx`] for bytes that are not an ONNX file, operators that the runtime does not have, and inputs or
-    /// outputs of another kind. [`FormatError::Unsupported`] for invalid options or metadata.
+    /// [`FormatError::Onnx`] for bytes that are not an ONNX file, operators that policies do not have, sizes above 2²⁴
+    /// entries, and inputs or outputs of another kind. [`FormatError::Unsupported`] for invalid options or metadata.
     pub fn from_bytes(bytes: Vec<u8>, options: &OnnxOptions) -> Result<Self, FormatError> {
         // the runtime does not end at numbers of more than ten bytes
-        ModelProto::decode(&bytes[..]).map_err(wrong)?;
-        let model = ModelOptions::with_all_ops().load(bytes).map_err(wrong)?;
+        limits::validate(&ModelProto::decode(&bytes[..]).map_err(wrong)?)?;
+        let model = guarded(|| ModelOptions::with_all_ops().load(bytes))?;
         let of_file = |key: &str| model.metadata().get(key).map(str::to_string);
         let info = match of_file(METADATA_KEY) {
             Some(text) => Some(
@@ -505,7 +540,7 @@ impl Graph {
         }
         let wanted: Vec<NodeId> =
             [self.output].into_iter().chain(self.memories.iter().map(|slot| slot.output)).collect();
-        let results = self.model.run(values, &wanted, None).map_err(wrong)?;
+        let results = guarded(|| self.model.run(values, &wanted, None))?;
         let mut results = results.into_iter();
         let numbers = |value: Option<rten::Value>, output: NodeId| -> Result<Vec<f32>, FormatError> {
             let tensor: rten_tensor::Tensor<f32> =
