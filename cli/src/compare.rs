@@ -13,6 +13,7 @@ use crate::failure::Failure;
 use crate::options;
 use crate::output::{self, OutputDir, OutputFile};
 use crate::parse::{self, NameOrFile};
+use crate::threads;
 
 /// Files of `--plot`.
 const PLOTS: [&str; 2] = ["window.svg", "window.png"];
@@ -77,6 +78,7 @@ impl Compare {
     pub fn run(&self) -> Result<(), Failure> {
         let params = options::params(&self.drone)?;
         let sources = self.attitude.map_or(AttitudeSource::ALL.to_vec(), |source| vec![source]);
+        threads::start()?;
         let flights = read_flights(&self.flights).map_err(Failure::input)?;
         let doubts: Vec<_> = flights.iter().map(|flight| flight.check_units().err().map(|e| e.to_string())).collect();
         let inputs = flight_files(&self.flights).map_err(Failure::input)?;

@@ -24,6 +24,7 @@ mod render;
 mod replay;
 mod rerun;
 mod tasks;
+mod threads;
 mod train;
 mod view;
 mod window;
@@ -90,6 +91,8 @@ fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
         .with_env_filter(messages())
+        // without a message about a standard error that cannot be written: its message would fail as well, and panic
+        .log_internal_errors(false)
         .without_time()
         .with_target(false)
         .init();
@@ -97,8 +100,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),
     };
-    output::clean_up_when_interrupted();
-    let done = match &cli.command {
+    let done = output::clean_up_when_interrupted().and_then(|()| match &cli.command {
         Command::Fly(command) => command.run(),
         Command::View(command) => command.run(),
         Command::Capture(command) => command.run(),
@@ -116,7 +118,7 @@ fn main() -> ExitCode {
         Command::Airframe(command) => command.run(),
         Command::Doctor(command) => command.run(),
         Command::Completions(command) => command.run(),
-    };
+    });
     let status = done.map_or_else(|error| failure::report(&error), |()| 0);
     if viewer::has_thread() {
         // without the destructors of OpenGL, which crash while a window without its display draws

@@ -87,15 +87,15 @@ const TERMINATING: [i32; 10] =
 /// The exit status is 128 plus the number of the signal. A signal that the parent process ignores, as `nohup` does with
 /// SIGHUP, stays ignored. A file above the size limit of the shell (`ulimit -f`) is a write error, as a full disk is,
 /// and not a signal.
-pub fn clean_up_when_interrupted() {
+pub fn clean_up_when_interrupted() -> Result<(), Failure> {
     // an empty handler, because without one the system ends the program
     let _ = signal_hook::flag::register(SIGXFSZ, std::sync::Arc::default());
     let ignored = ignored_signals();
     let handled =
         TERMINATING.iter().enumerate().filter(|&(index, signal)| index < 2 || ignored >> (signal - 1) & 1 == 0);
     // without handlers, the worst case is a temporary file that stays after an interruption
-    let Ok(mut signals) = Signals::new(handled.map(|(_, signal)| signal)) else { return };
-    std::thread::spawn(move || {
+    let Ok(mut signals) = Signals::new(handled.map(|(_, signal)| signal)) else { return Ok(()) };
+    let wait = move || {
         if let Some(signal) = signals.forever().find(|&signal| !interrupt::is_deferred(signal)) {
             for path in unfinished().iter() {
                 let _ = fs::remove_file(path);
@@ -103,7 +103,10 @@ pub fn clean_up_when_interrupted() {
             // without destructors, which would close OpenGL while another thread renders
             signal_hook::low_level::exit(128 + signal);
         }
-    });
+    };
+    // without the thread, no signal would end the program
+    let thread = std::thread::Builder::new().name("signals".into()).spawn(wait);
+    thread.map(drop).context("the thread that waits for signals cannot be started").map_err(Failure::work)
 }
 
 /// Returns the ignored signals of this process, bit n − 1 for signal n; 0 if the system does not report them.

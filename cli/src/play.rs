@@ -21,7 +21,7 @@ use crate::options::{ConditionOptions, check_track_task, in_options};
 use crate::output;
 use crate::parse::{self, NameOrFile, Shard};
 use crate::policy_file::{OnnxFlags, PolicyFile};
-use crate::window;
+use crate::{threads, window};
 
 /// Fly a trained policy and print its success rate
 ///
@@ -143,6 +143,7 @@ impl Play {
             // an evaluation may take long, and opens its window at the end
             viewer::check_display().map_err(Failure::work)?;
         }
+        threads::start()?;
         let mut arena = Arena::new(config.success, || config.environment()).map_err(Failure::input)?;
         let bar = output::progress(own.end - own.start, "flying");
         let mut flown = Vec::new();

@@ -18,6 +18,7 @@ use crate::failure::Failure;
 use crate::options::check_track_task;
 use crate::output::{self, OutputDir};
 use crate::parse::{self, NameOrFile};
+use crate::threads;
 
 /// Train a policy with PPO
 ///
@@ -232,6 +233,7 @@ impl Train {
 
     /// Creates the learner of the device of a configuration.
     fn learner(&self, config: &TrainConfig) -> Result<Box<dyn Learner>, Failure> {
+        threads::start()?;
         match config.device {
             TrainDevice::Gpu => on_a_gpu(config, self.adapter.as_deref(), self.json),
             TrainDevice::Cpu if self.adapter.is_some() => {
@@ -284,6 +286,7 @@ impl Train {
         for task in tasks::NAMES {
             check_new(&out.join(task))?;
         }
+        threads::start()?;
         let (mut rows, mut list) = (Vec::new(), Vec::new());
         for task in tasks::NAMES {
             let mut config = self.config(task)?;

@@ -1,6 +1,7 @@
 //! Recorded flights: comparison with predictions, and conversion of logs.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 mod common;
 
@@ -113,10 +114,15 @@ fn predictions_are_causal() {
     let before = std::fs::read(&path).unwrap();
     refused(&onto_input, 2, &["it is an input"]);
     assert_eq!(std::fs::read(&path).unwrap(), before);
-    let output = aviary(&["compare", "--flights", text(&path), "--drone", &airframe]);
+    let compare = ["compare", "--flights", text(&path), "--drone", &airframe];
+    let output = aviary(&compare);
     let warning = String::from_utf8(output.stderr).unwrap();
     let is_complete = ["WARN", "flight: ", "differs from"].iter().all(|part| warning.contains(part));
     assert!(is_complete && warning.lines().count() == 1, "{warning}");
+    // the result does not depend on a standard error that can be written
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let silent = Command::new(env!("CARGO_BIN_EXE_aviary")).args(compare).stderr(full).output().unwrap();
+    assert_eq!((silent.status.code(), silent.stdout), (Some(0), output.stdout));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Process-wide state of MuJoCo: version, error and warning handlers.
 
 use std::ffi::{CStr, CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::OnceLock;
 
 use crate::error::Error;
@@ -41,7 +42,8 @@ extern "C" fn on_warning(message: *const c_char) {
     if !message.is_null() {
         // SAFETY: MuJoCo passes a terminated string that lives through this call.
         let message = unsafe { CStr::from_ptr(message) }.to_string_lossy();
-        tracing::warn!(target: "mujoco", "{message}");
+        // a panic of a subscriber would end the process, because it cannot pass C frames
+        let _ = catch_unwind(AssertUnwindSafe(|| tracing::warn!(target: "mujoco", "{message}")));
     }
 }
 

@@ -64,15 +64,23 @@ impl Mp4 {
                     _ => format!("`{program}` cannot be started: {error}"),
                 })
             })?;
-        let messages = child.stderr.take().map(|mut pipe| {
-            std::thread::spawn(move || {
+        // its drop ends the program if the thread cannot start
+        let mut video = Self { pixels: child.stdin.take(), child, messages: None, size };
+        if let Some(mut pipe) = video.child.stderr.take() {
+            let read = move || {
                 let mut text = Vec::new();
                 // a read error means that the pipe has closed; the text so far is complete
                 let _ = pipe.read_to_end(&mut text);
                 String::from_utf8_lossy(&text).into_owned()
-            })
-        });
-        Ok(Self { pixels: child.stdin.take(), child, messages, size })
+            };
+            let thread = std::thread::Builder::new().name("ffmpeg".into()).spawn(read);
+            let thread = thread.map_err(|error| {
+                let program = program.to_string_lossy();
+                RecordError::Video(format!("a thread for the messages of `{program}` cannot be started: {error}"))
+            })?;
+            video.messages = Some(thread);
+        }
+        Ok(video)
     }
 
     /// Completes the video and closes the file.
