@@ -29,6 +29,9 @@ const MAX_ROUNDS: usize = 5;
 /// Largest standard error of an identifiable parameter, as a part of its scale.
 const MAX_ERROR: f64 = 0.5;
 
+/// Largest change of a value if a flight is left out, as a multiple of its scale.
+const MAX_CHANGE: f64 = 10.0;
+
 /// Number of standard errors by which an additional parameter differs from its default.
 const SIGNIFICANCE: f64 = 3.0;
 
@@ -221,10 +224,13 @@ impl Influence {
         }
     }
 
-    /// Returns an airframe with changed values.
+    /// Returns an airframe with changed values. A change has at most [`MAX_CHANGE`] times its scale: flights that
+    /// hardly determine a value lead to any change, and to an infinite number where the value is a logarithm.
     fn changed(&self, airframe: &DroneParams, change: &DVector<f64>) -> DroneParams {
         let mut params = airframe.clone();
-        for ((&index, value), change) in self.free.iter().zip(&self.values).zip(change.iter()) {
+        for ((&index, value), &change) in self.free.iter().zip(&self.values).zip(change.iter()) {
+            let max = MAX_CHANGE * (PARAMETERS[index].scale)(airframe).abs();
+            let change = if change.abs() > max { max.copysign(change) } else { change };
             (PARAMETERS[index].set)(&mut params, value + change);
         }
         params
@@ -440,10 +446,14 @@ pub(super) fn run(
     if flights.len() > 1 {
         for (flight, params) in flights.iter().zip(&without) {
             let airframe = finished(params.clone(), options);
+            // an airframe of too few flights may be out of range, which the identification does not depend on
+            let compared = compare_any(&airframe, std::slice::from_ref(flight), &sources);
+            let Some(compared) = compared.ok().filter(|_| airframe.validate().is_ok()) else {
+                leave_one_out.clear();
+                break;
+            };
             // one flight has one element
-            for compared in compare_any(&airframe, std::slice::from_ref(flight), &sources)? {
-                leave_one_out.push(LeftOut { airframe: airframe.clone(), compared });
-            }
+            leave_one_out.extend(compared.into_iter().map(|compared| LeftOut { airframe: airframe.clone(), compared }));
         }
     }
     let parameters = (0..PARAMETERS.len()).map(|index| {
@@ -538,9 +548,31 @@ fn finished(mut params: DroneParams, options: &IdentifyOptions) -> DroneParams {
     numbers.chain(&mut params.center_of_mass).chain(&mut params.inertia).for_each(|number| *number = rounded(*number));
     let [x, y, z] = params.inertia;
     // no body has a larger moment than the sum of the others
-    params.inertia[2] = z.clamp((x - y).abs(), x + y);
+    params.inertia[2] = z.min(x + y).max((x - y).abs());
     let full = params.motors.speed_at_zero + params.motors.speed_per_volt * params.motors.voltage;
     params.thrust_to_weight = rounded((full / params.hover_rpm()).powi(2)).max(1.0);
     params.name.clone_from(&options.name);
     params
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+
+    /// Without one flight, the others may not determine a parameter: the change of its value is any number.
+    #[test]
+    fn airframes_without_a_flight_are_finite_after_any_change() {
+        let mut base = DroneModel::Cf2x.params();
+        (base.motors.speed_per_volt, base.motors.voltage) = (5589.0, 3.7);
+        let free: Vec<usize> = (0..PARAMETERS.len()).collect();
+        let values = free.iter().map(|&index| (PARAMETERS[index].get)(&base)).collect();
+        let influence = Influence { free, values, blocks: Vec::new(), correction: 1.0, without: Vec::new() };
+        for change in [1e3, -1e3, 1e300, f64::INFINITY, f64::NEG_INFINITY, f64::NAN] {
+            let change = DVector::from_element(PARAMETERS.len(), change);
+            let airframe = finished(influence.changed(&base, &change), &IdentifyOptions::default());
+            let is_finite = (0..PARAMETERS.len()).all(|index| get_number(&airframe, index).is_finite());
+            assert_eq!(is_finite, !change[0].is_nan(), "{airframe:?}");
+        }
+    }
 }

@@ -118,7 +118,8 @@ pub struct Identification {
     /// Predictions of the flights by the airframe, with the recorded and with the predicted attitude. The flights are
     /// as recorded, without the corrections of their alignment.
     pub compared: Vec<Compared>,
-    /// Predictions of every flight by an airframe that was fitted to the other flights; empty for a single flight.
+    /// Predictions of every flight by an airframe that was fitted to the other flights. Empty for a single flight, and
+    /// if the other flights of one do not determine a valid airframe.
     pub leave_one_out: Vec<LeftOut>,
 }
 
