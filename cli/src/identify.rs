@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::anyhow;
@@ -6,7 +6,7 @@ use aviary::drone::{DroneModel, DroneParams};
 use aviary::flights::identify::{
     Alignment, Estimate, FittedParameter, Identification, IdentifyOptions, Status, Unidentified, identify,
 };
-use aviary::flights::{AttitudeSource, Compared, Flight, Predictor, plot_window, read_flights};
+use aviary::flights::{AttitudeSource, Compared, Flight, Predictor, flight_files, plot_window, read_flights};
 use clap::{Args, ValueHint};
 use serde_json::{Value, json};
 
@@ -16,6 +16,7 @@ use crate::failure::Failure;
 use crate::options;
 use crate::output::{self, OutputFile};
 use crate::parse::{self, NameOrFile};
+use crate::threads;
 
 /// Identify the parameters of an airframe from recorded flights
 ///
@@ -67,12 +68,18 @@ impl Identify {
         let name = self.name()?;
         let plot_kind = self.plot.as_deref().map(|path| path.extension().and_then(|ending| ending.to_str()));
         if plot_kind.is_some_and(|kind| !matches!(kind, Some("svg" | "png"))) {
-            let path = self.plot.as_deref().unwrap_or(std::path::Path::new("")).display();
+            let path = self.plot.as_deref().unwrap_or(Path::new("")).display();
             return Err(Failure::Input(anyhow!("--plot is `{path}`, expected a file that ends in .svg or .png")));
         }
+        threads::start()?;
         let flights = read_flights(&self.flights).map_err(Failure::input)?;
-        let out = self.out.as_deref().map(OutputFile::begin).transpose()?;
-        let plot = self.plot.as_deref().map(OutputFile::begin).transpose()?;
+        let mut inputs = flight_files(&self.flights).map_err(Failure::input)?;
+        if let NameOrFile::File(path) = &self.drone {
+            inputs.push(path.clone());
+        }
+        let begin = |path: &Path| OutputFile::begin_apart(path, &inputs);
+        let out = self.out.as_deref().map(begin).transpose()?;
+        let plot = self.plot.as_deref().map(begin).transpose()?;
 
         let start = Instant::now();
         let progress = output::progress_with(100, "{msg} {wide_bar} {pos} %").with_message("identify");
@@ -196,7 +203,12 @@ fn report(flights: &[Flight], identified: &Identification, seconds: f64) -> Stri
     let sources = AttitudeSource::ALL;
     let compared = predictions(identified);
     text += match identified.leave_one_out.is_empty() {
-        true => "\npredictions of the fitted flight (leave-one-flight-out errors require two flights)\n\n",
+        true if flights.len() == 1 => {
+            "\npredictions of the fitted flight (leave-one-flight-out errors require two flights)\n\n"
+        }
+        true => {
+            "\npredictions of the fitted flights (without one of them, the others do not determine an airframe)\n\n"
+        }
         false => "\npredictions of every flight by a fit to the other flights\n\n",
     };
     for (index, source) in sources.into_iter().enumerate() {

@@ -66,7 +66,7 @@ impl Replay {
         let actions = actions.map_err(Failure::input)?;
         let poses = self.obstacle_poses(&scenario)?;
 
-        let file = OutputFile::begin(&self.out)?;
+        let file = OutputFile::begin_apart(&self.out, self.inputs())?;
         let mut log = CsvLog::new(file.into_writer()).map_err(Failure::work)?;
         let mut live = if self.view { Some(self.open(&simulation)?) } else { None };
         let mut moving = poses.iter().peekable();
@@ -126,6 +126,13 @@ impl Replay {
             ("simulated time", format!("{:.2} s", simulation.time())),
         ]))?;
         output::print_written(std::slice::from_ref(&self.out))
+    }
+
+    /// Returns the input files, with those of a flight's directory.
+    fn inputs(&self) -> Vec<PathBuf> {
+        let of_directory = |path: &PathBuf| [aviary::record::files(path), vec![path.join("obstacles.csv")]].concat();
+        let logs = self.actions.iter().flat_map(of_directory);
+        [&self.scenario].into_iter().chain(&self.actions).cloned().chain(logs).collect()
     }
 
     /// Reads the poses of the moving obstacles of the scenario.

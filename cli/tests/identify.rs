@@ -53,6 +53,10 @@ fn wrong_options_and_flights_of_an_identification_are_errors_of_one_line() {
     with(&["--mass", "0.03", "--out", "my quad.toml"], &["--out", "my quad.toml"]);
     with(&["--mass", "0.03", "--plot", "window.pdf"], &["--plot", "window.pdf", ".svg"]);
     with(&[], &["--mass"]);
+    let airframe = write(&dir.join("quad.toml"), include_str!("../../assets/airframes/cf2x.toml"));
+    let onto = ["identify", text(&flight), "--drone", text(&airframe), "--mass", "0.03", "--out", text(&airframe)];
+    refused(&onto, 2, &["quad.toml: it is an input"]);
+    assert!(std::fs::read_to_string(&airframe).unwrap().contains("mass"));
     let short = write(&dir.join("short.csv"), &recorded_flight(3.0));
     refused(&["identify", text(&short), "--drone", "cf2x", "--mass", "0.03"], 2, &["short", "expected"]);
     let columns: Vec<String> = recorded_flight(5.0)

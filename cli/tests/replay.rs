@@ -28,6 +28,31 @@ fn replays_agree_with_the_reference_flights() {
 }
 
 #[test]
+fn outputs_of_replays_do_not_replace_their_inputs() {
+    let dir = directory("replay-onto-input");
+    let copy = |name: &str, of: &str| write(&dir.join(name), &std::fs::read_to_string(reference(of)).unwrap());
+    let (scenario, actions) = (copy("a.toml", "mjc_cf2x.toml"), copy("a.csv", "mjc_cf2x.actions.csv"));
+    let before = [&scenario, &actions].map(|path| std::fs::read(path).unwrap());
+    for out in [&scenario, &actions] {
+        let replay = ["replay", "--scenario", text(&scenario), "--actions", text(&actions), "--out", text(out)];
+        refused(&replay, 2, &["it is an input"]);
+    }
+    assert_eq!([&scenario, &actions].map(|path| std::fs::read(path).unwrap()), before);
+    // the directory of a flight stands for its logs; other files in it are outputs
+    let flight = dir.join("flight");
+    run(&["fly", "--task", "hover", "--duration", "0.2", "--out", text(&flight)]);
+    let replay = |out: &str| {
+        let (scenario, out) = (flight.join("scenario.toml"), flight.join(out));
+        ["replay", "--scenario", text(&scenario), "--actions", text(&flight), "--out", text(&out)].map(str::to_string)
+    };
+    let refused_onto = replay("drone0.csv");
+    refused(&refused_onto.each_ref().map(String::as_str), 2, &["drone0.csv: it is an input"]);
+    for _ in 0..2 {
+        run(&replay("again.csv").each_ref().map(String::as_str));
+    }
+}
+
+#[test]
 fn errors_of_replays_name_file_and_line() {
     let dir = directory("replay-refused");
     let out = dir.join("flight.csv");
