@@ -95,6 +95,10 @@ impl LearnerState {
     }
 }
 
+/// Largest number of inputs of the networks in a rollout: 8 GiB. The number of steps of all agents then also fits the
+/// indices of an update.
+const MAX_INPUTS: usize = 1 << 31;
+
 /// Learner of the CPU: PPO over agents of the CPU.
 pub(crate) struct CpuLearner {
     agents: Box<dyn Agents>,
@@ -105,8 +109,18 @@ impl CpuLearner {
     /// Creates a learner with initial parameters.
     ///
     /// # Errors
-    /// [`TrainError::Policy`] for layers that a policy cannot have.
+    /// [`TrainError::Option`] for a rollout of too many numbers, and [`TrainError::Policy`] for layers that a policy
+    /// cannot have.
     pub fn new(config: &TrainConfig, agents: Box<dyn Agents>) -> Result<Self, TrainError> {
+        let (rows, horizon) = (agents.rows(), config.ppo.horizon);
+        let inputs = agents.observation_space().size() + config.ppo.recurrent;
+        if rows.saturating_mul(horizon).saturating_mul(inputs) > MAX_INPUTS {
+            return Err(TrainError::Option {
+                option: "agents × horizon × inputs",
+                got: format!("{rows} × {horizon} × {inputs}"),
+                expected: "up to 2,147,483,648",
+            });
+        }
         let ppo = Ppo::new(config.ppo.clone(), config.width, &*agents, config.seed)?;
         Ok(Self { agents, ppo })
     }
@@ -159,5 +173,19 @@ impl Learner for CpuLearner {
 
     fn restore(&mut self, state: LearnerState) -> Result<(), TrainError> {
         Ok(self.ppo.restore(state)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rollouts_of_too_many_numbers_are_errors() {
+        let mut config = TrainConfig::of_task("hover").unwrap();
+        (config.ppo.environments, config.ppo.horizon, config.ppo.recurrent) = (1 << 10, 1 << 16, 256);
+        config.validate().unwrap();
+        let Err(error) = crate::on_the_cpu(&config) else { panic!("a learner of 68 GB") };
+        assert_eq!(error.to_string(), "agents × horizon × inputs is 1024 × 65536 × 268, expected up to 2,147,483,648");
     }
 }

@@ -5,16 +5,13 @@ use std::fs;
 use aviary::env::{EnvConfig, EnvError};
 use aviary::vector::{VecConfig, VecEnv, make_vec};
 
-/// Environments of the probe, one block.
+/// Environments of the probe, one block. A batch of at most as many is created without a check.
 const PROBE: usize = 8;
-
-/// Number of environments up to which a batch is created without a check of its memory.
-const SMALL: usize = 256;
 
 /// Returns an error message if the environments of a batch and the arrays of a step do not fit into the memory that is
 /// available.
 pub fn check(task: &str, config: &EnvConfig, batch: VecConfig) -> Result<Option<String>, EnvError> {
-    if batch.environments <= SMALL {
+    if batch.environments <= PROBE {
         return Ok(None);
     }
     let probe = make_vec(task, config.clone(), VecConfig { threads: 1, environments: PROBE, ..batch })?;

@@ -407,6 +407,17 @@ fn reading_environments_in_flight_does_not_change_them() {
     }
 }
 
+/// Commands that are late by 100,000 control steps take 26 MB per block of environments.
+#[test]
+fn a_batch_that_does_not_fit_in_memory_is_an_error() {
+    let actuators = ActuatorRanges { latency: [1.0; 2], ..ActuatorRanges::default() };
+    let late = Randomization { actuators: Some(actuators), ..Randomization::NONE };
+    let builder = Hover::builder().sim_freq(100_000).ctrl_freq(100_000).randomization(late);
+    let count = VecConfig::MAX_ENVIRONMENTS;
+    let error = VecAviary::new(builder, VecConfig::new(count)).unwrap_err().to_string();
+    assert!(error.starts_with("environments is 16777216, expected a batch that fits in memory"), "{error}");
+}
+
 /// Changes of wind, latencies and randomization of one environment in flight. Its neighbours keep their bits, and it
 /// equals a single environment with the same changes.
 #[test]

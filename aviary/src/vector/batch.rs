@@ -109,6 +109,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         let threads = threads.min(count.div_ceil(per_thread));
         let functions = lane_functions(&first, flies);
         let model = batch_model(&first, &config, flies, functions);
+        Environments::check_memory(&first, &model, count)?;
         let environments = Environments::of(&first, &model, count);
         let (name, episode_steps, control_period) =
             (first.name(), first.episode_steps(), first.simulation.control_period());
@@ -338,6 +339,23 @@ fn batch_model<T: Task>(
 }
 
 impl<T: Task + Clone> Environments<T> {
+    /// Checks that the system can allocate the memory of a number of environments.
+    fn check_memory(first: &Aviary<T>, model: &BatchModel, count: usize) -> Result<(), EnvError> {
+        let fits = |bytes: usize| Vec::<u8>::new().try_reserve_exact(bytes).is_ok();
+        let (simulation, blocks) = (&first.simulation, count.div_ceil(LANES));
+        let needs = Needs::of(&first.episode, &simulation.data, model.dt, simulation.model.motor_latency());
+        // one block determines the size of the others
+        let bytes = || Self::of(first, model, LANES).bytes_per_env().saturating_mul(count);
+        if fits(needs.delay_bytes(model, blocks)) && (count <= LANES || fits(bytes())) {
+            return Ok(());
+        }
+        Err(EnvError::Option {
+            option: "environments",
+            got: count.to_string(),
+            expected: "a batch that fits in memory: fewer environments or drones, or shorter latencies",
+        })
+    }
+
     /// Creates copies of the first environment, each with its own random stream.
     fn of(first: &Aviary<T>, model: &BatchModel, count: usize) -> Self {
         let (simulation, drones) = (&first.simulation, model.drones);

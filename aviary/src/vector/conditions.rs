@@ -40,6 +40,13 @@ impl Needs {
         needs
     }
 
+    /// Returns the size of the late commands and states in a number of blocks, bytes.
+    pub fn delay_bytes(self, model: &BatchModel, blocks: usize) -> usize {
+        let of_drone = MotorDelays::bytes_for(self.motors, model.substeps)
+            .saturating_add(StateDelays::bytes_for(self.states, model.substeps));
+        of_drone.saturating_mul(blocks * model.drones)
+    }
+
     /// Returns the needs of both.
     #[must_use]
     pub fn and(self, other: Self) -> Self {

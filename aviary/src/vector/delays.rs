@@ -32,6 +32,11 @@ fn shift<const N: usize>(history: &mut History<N>, newest: &[Row; N], lanes: &[b
     }
 }
 
+/// Returns the size of a history for latencies up to `max` physics steps, bytes.
+fn history_bytes<const N: usize>(max: u32, substeps: u32) -> usize {
+    max.div_ceil(substeps) as usize * size_of::<[Row; N]>()
+}
+
 /// Extends a history to the length for latencies up to `max` physics steps.
 fn extend<const N: usize>(history: &mut History<N>, max: u32, substeps: u32) {
     let length = max.div_ceil(substeps) as usize;
@@ -49,6 +54,11 @@ pub(super) struct MotorDelays {
 }
 
 impl MotorDelays {
+    /// Returns the size for latencies up to `max` physics steps, bytes.
+    pub fn bytes_for(max: u32, substeps: u32) -> usize {
+        history_bytes::<4>(max, substeps)
+    }
+
     /// Makes room for latencies up to `max` physics steps, with `substeps` physics steps per control step.
     pub fn extend(&mut self, max: u32, substeps: u32) {
         extend(&mut self.past, max, substeps);
@@ -121,6 +131,11 @@ pub(super) struct StateDelays {
 }
 
 impl StateDelays {
+    /// Returns the size for latencies up to `max` physics steps, bytes.
+    pub fn bytes_for(max: u32, substeps: u32) -> usize {
+        history_bytes::<13>(max, substeps)
+    }
+
     /// Makes room for latencies up to `max` physics steps, with `substeps` physics steps per control step.
     pub fn extend(&mut self, max: u32, substeps: u32) {
         extend(&mut self.past, max, substeps);
