@@ -1,3 +1,5 @@
+use std::cell::Cell;
+
 use flight::tasks::waypoints::distance_to_leg;
 use nalgebra::Vector3;
 use pulp::Simd;
@@ -281,8 +283,11 @@ const MAX_MIDPOINTS: usize = 8;
 /// A path with its start time.
 #[derive(Debug)]
 struct Scheduled {
-    /// Positions along the path, every [`TICK`](Self::TICK) seconds.
+    /// Positions along the path, every [`TICK`](Self::TICK) seconds; empty for a path of more than
+    /// [`MAX_TICKS`](Self::MAX_TICKS).
     places: Vec<Vector3<f64>>,
+    /// Number of positions along the path.
+    ticks: usize,
     /// Collision radius of the drone, m.
     radius: f64,
     /// Start time, s.
@@ -296,10 +301,15 @@ impl Scheduled {
     /// Clearance between two drones on their paths, m, for tracking errors and the distance flown in a tick.
     const ROOM: f64 = 0.3;
 
+    /// Largest number of positions of a path that is compared with others: half an hour. No other drone flies during a
+    /// longer path.
+    const MAX_TICKS: usize = 36_000;
+
     fn new(path: &Waypoints, radius: f64) -> Self {
-        let ticks = (path.duration() / Self::TICK).ceil() as u32;
-        let places = (0..=ticks).map(|tick| path.reference(f64::from(tick) * Self::TICK).position).collect();
-        Self { places, radius, delay: 0.0 }
+        let ticks = (path.duration() / Self::TICK).ceil() as usize + 1;
+        let compared = if ticks <= Self::MAX_TICKS { ticks } else { 0 };
+        let places = (0..compared).map(|tick| path.reference(tick as f64 * Self::TICK).position).collect();
+        Self { places, ticks, radius, delay: 0.0 }
     }
 
     /// Returns the position at a tick, if the path starts after `delay` ticks. The drone waits at its start and
@@ -312,22 +322,33 @@ impl Scheduled {
         (seconds / Self::TICK).round() as usize
     }
 
-    /// Returns the first start time (s) from `delay` on at which the path stays clear of the earlier ones, or, if
-    /// there is none, a time when all of those have ended.
+    /// Returns the first start time (s) from `delay` on at which the path stays clear of the earlier ones, none of
+    /// which starts after `delay`. If there is none, or if long paths make the search long, returns a time when all of
+    /// those have ended.
     fn earliest_after(&self, delay: f64, before: &[Self]) -> f64 {
         const STRIDE: usize = 2;
-        let end = |other: &Self| Self::ticks(other.delay) + other.places.len();
+        /// Number of compared positions after which the search ends.
+        const MAX_COMPARED: usize = 1 << 26;
+        let end = |other: &Self| Self::ticks(other.delay) + other.ticks;
         let last = before.iter().map(end).max().unwrap_or(0);
         let first = Self::ticks(delay);
+        if self.places.is_empty() || before.iter().any(|other| other.places.is_empty()) {
+            return first.max(last) as f64 * Self::TICK;
+        }
+        let compared = Cell::new(0);
         let clear = |delay: usize| {
             before.iter().rev().all(|other| {
                 let (min, others) = (self.radius + other.radius + Self::ROOM, Self::ticks(other.delay));
-                // both drones stand still before and after these ticks
-                (others.min(delay)..=end(other).max(delay + self.places.len()))
-                    .all(|tick| (self.place(delay, tick) - other.place(others, tick)).norm_squared() > min * min)
+                // the other drone starts first; outside of these ticks, both stand still
+                let (its, own) = (others..=end(other), delay.max(end(other) + 1)..=delay + self.ticks);
+                its.chain(own).all(|tick| {
+                    compared.set(compared.get() + 1);
+                    (self.place(delay, tick) - other.place(others, tick)).norm_squared() > min * min
+                })
             })
         };
-        let found = (first..last).step_by(STRIDE).find(|&delay| clear(delay));
+        let mut delays = (first..last).step_by(STRIDE).take_while(|_| compared.get() < MAX_COMPARED);
+        let found = delays.find(|&delay| clear(delay));
         found.unwrap_or(first.max(last)) as f64 * Self::TICK
     }
 }
@@ -391,6 +412,22 @@ pub(super) fn validate_rewards<const N: usize>(rewards: [(&'static str, f64); N]
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Paths of hours are not compared at every tick: each drone starts when the one before has ended.
+    #[test]
+    fn long_paths_follow_each_other() {
+        use crate::env::{DroneEnv as _, Env as _, EnvConfig};
+
+        let gates = (0..198).map(|gate| [if gate % 2 == 0 { -1e4 } else { 1e4 }, 0.0, 1.0]).collect();
+        let config = EnvConfig::default().num_drones(3).task(|options| {
+            (options.gates, options.laps) = (Some(gates), Some(1));
+        });
+        let mut env = crate::tasks::make("race", config).unwrap();
+        env.reset(Some(1)).unwrap();
+        let ends: Vec<_> = env.plans().into_iter().flatten().map(|plan| plan.duration()).collect();
+        assert!(ends.len() == 3 && ends[0] > 1e5, "{ends:?}");
+        assert!(ends.windows(2).all(|pair| pair[1] > pair[0] + 1e5), "{ends:?}");
+    }
 
     /// Drones of every airframe stay apart on their planned paths, and every path ends.
     #[test]
