@@ -10,7 +10,7 @@ use aviary::record::plot::Plot;
 use aviary::record::{Flight as Samples, Scenario};
 use clap::{Args, ValueHint};
 use indicatif::ProgressBar;
-use viewer::{Flown, LiveFlight, Turn, Viewer, ViewerOptions};
+use viewer::{Flown, LiveFlight, Turn, Viewer, ViewerError, ViewerOptions};
 
 use crate::animation::{AnimationOptions, AnimationWriter};
 use crate::failure::Failure;
@@ -142,6 +142,9 @@ impl FlightCommand {
             output::print(&flight.table(pilot.env()))?;
             output::print_written(&written)?;
         }
+        if let Some(error) = flight.unsaved {
+            return Err(Failure::work(error));
+        }
         match flight.info.end {
             // the person may have let it crash
             Some(_) if window == InWindow::Changed => Ok(()),
@@ -193,6 +196,7 @@ impl FlightCommand {
         let mut seed = self.options.seed;
         // a step that failed in a flight that can be changed ends the episode
         let mut has_failed = false;
+        let mut unsaved = None;
         loop {
             let is_over = pilot.rollout.is_over() || has_failed;
             // a flight that can be changed ends when the window is closed
@@ -229,6 +233,12 @@ impl FlightCommand {
                         continue;
                     }
                     Ok(Turn::Closed) => {
+                        live = None;
+                        continue;
+                    }
+                    // the person has closed the window, and the flight is complete
+                    Err(error @ ViewerError::Recording { .. }) if is_changed => {
+                        unsaved = Some(error);
                         live = None;
                         continue;
                     }
@@ -288,7 +298,8 @@ impl FlightCommand {
             info.progress = simulation.control_steps() as f64 / pilot.env().episode_steps() as f64;
             info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
         }
-        Ok((Flight { controller: pilot.kind(), seed, info, reward, wall_seconds, errors }, log.samples))
+        let controller = pilot.kind();
+        Ok((Flight { controller, seed, info, reward, wall_seconds, errors, unsaved }, log.samples))
     }
 }
 

@@ -85,6 +85,7 @@ pub fn fly(config: &TrainConfig, policy: Box<dyn Policy>, steps: Option<u64>, se
             }
             Ok(Turn::Restarted | Turn::Rewound) => has_failed = false,
             Ok(Turn::Closed) => return Ok(()),
+            Err(error @ ViewerError::Recording { .. }) => return Err(Failure::work(error)),
             Err(error) => {
                 tracing::warn!("{error}; the flight ends");
                 return Ok(());

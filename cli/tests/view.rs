@@ -9,7 +9,9 @@ mod common;
 #[path = "../../viewer/tests/support/mod.rs"]
 mod support;
 
-use common::{Running, assert_equal_files, directory, pretrained, run, send, text, wait_for_rows};
+use common::{
+    Running, assert_equal_files, directory, pretrained, run, send, text, wait_for_rows, wait_while, write_script,
+};
 use support::{Display, Server};
 
 /// Options of a short flight.
@@ -166,6 +168,29 @@ fn the_close_button_ends_a_view_with_its_results() {
     let plain = directory("view-closed-plain");
     run(&[&["fly", "--out", text(&plain)][..], &HOVER].concat());
     assert_equal_files(&plain, &dir, &["drone0.csv", "scenario.toml"]);
+}
+
+#[test]
+fn an_animation_of_the_window_that_cannot_be_saved_is_an_error() {
+    /// Key symbol of the left shift key.
+    const SHIFT: u32 = 0xffe1;
+    let Some(server) = server("an_animation_of_the_window_that_cannot_be_saved_is_an_error") else { return };
+    let (dir, programs) = (directory("view-unsaved"), directory("view-unsaved-programs"));
+    let encoder = programs.join("ffmpeg");
+    write_script(&encoder, "touch \"$0.started\"; cat > /dev/null; echo 'the disk is full' >&2; exit 1");
+    let arguments = [&["view", "--out", text(&dir)][..], &HOVER].concat();
+    let path = format!("{}:{}", text(&programs), std::env::var("PATH").unwrap());
+    let mut program = Running::start(program(Some(&server.name), &arguments).env("PATH", path));
+    let display = Display::connect(&server.name);
+    let window = display.windows("aviary: hover with cf2x", 1)[0];
+    display.focus(window);
+    display.key_down(SHIFT);
+    display.text("r");
+    display.key_up(SHIFT);
+    wait_while(&mut program, || !programs.join("ffmpeg.started").exists());
+    display.close(window);
+    let printed = ends(program, 1, &["error: the animation of the window is not complete: "]);
+    assert!(printed.contains("final position error"), "{printed}");
 }
 
 #[test]

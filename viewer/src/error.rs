@@ -27,6 +27,12 @@ pub enum ViewerError {
         /// Message of MuJoCo or of OpenGL.
         reason: String,
     },
+    /// The animation that the window was recording when it was closed cannot be completed.
+    #[error("the animation of the window is not complete: {reason}")]
+    Recording {
+        /// File, and the error of the system or of the encoder.
+        reason: String,
+    },
     /// The process is a fork of the one that opened the first window.
     #[error("a forked process cannot use the window of its parent; open the window in the process that draws")]
     Forked,

@@ -108,8 +108,9 @@ impl Viewer {
     /// Returns false after the window was closed; further calls have no effect.
     ///
     /// # Errors
-    /// [`ViewerError::Disconnected`] once if the connection to the display ended, and [`ViewerError::Scene`] once if the
-    /// scene cannot be drawn. Later calls return false.
+    /// [`ViewerError::Disconnected`] once if the connection to the display ended, [`ViewerError::Scene`] once if the
+    /// scene cannot be drawn, and [`ViewerError::Recording`] once if the person has closed the window and its animation
+    /// cannot be completed. Later calls return false.
     pub fn sync(&mut self, env: &dyn DroneEnv) -> Result<bool, ViewerError> {
         self.sync_with(Source::Env(env), |drone| Some(env.reference(drone).position), |_| {})
     }
@@ -259,6 +260,11 @@ impl Drop for Viewer {
     fn drop(&mut self) {
         self.close();
         window::wait_for_end(&self.shared);
+        let error = self.shared.state().error.take();
+        if let Some(error @ ViewerError::Recording { .. }) = error {
+            // the end of the window has shown that the file is not complete
+            tracing::warn!("{error}");
+        }
     }
 }
 

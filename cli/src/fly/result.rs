@@ -7,6 +7,7 @@ use aviary::drone::DroneParams;
 use aviary::env::{DroneEnv, Info};
 use aviary::record::state_numbers;
 use serde_json::{Value, json};
+use viewer::ViewerError;
 
 use crate::options::FlightOptions;
 use crate::output::{self, decimals};
@@ -73,6 +74,8 @@ pub(super) struct Flight {
     pub(super) reward: f64,
     pub(super) wall_seconds: f64,
     pub(super) errors: Errors,
+    /// Error of an animation of the window.
+    pub(super) unsaved: Option<ViewerError>,
 }
 
 impl Flight {

@@ -3,6 +3,7 @@
 
 use std::ffi::CString;
 use std::num::NonZeroU32;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use egui_glow::glow;
@@ -32,12 +33,16 @@ impl GlWindow {
     pub fn new(event_loop: &ActiveEventLoop, attributes: WindowAttributes) -> Result<Self, ViewerError> {
         let failed = |reason: String| ViewerError::NoGl { reason };
         let template = ConfigTemplateBuilder::new().with_alpha_size(8).with_depth_size(0).with_stencil_size(0);
-        let (window, config) = DisplayBuilder::new()
+        const NONE: &str = "it has no configuration for windows";
+        let builder = DisplayBuilder::new()
             .with_preference(ApiPreference::PreferEgl)
-            .with_window_attributes(Some(attributes.clone()))
-            // the closure must return a configuration: EGL reports an empty list as an error before the call
-            .build(event_loop, template, |mut configs| configs.next().expect("EGL lists at least one configuration"))
-            .map_err(|error| failed(error.to_string()))?;
+            .with_window_attributes(Some(attributes.clone()));
+        // the closure must return a configuration, also of an empty list
+        let built = catch_unwind(AssertUnwindSafe(|| {
+            builder.build(event_loop, template, |mut configs| configs.next().expect(NONE))
+        }));
+        let built = built.map_err(|_| failed(NONE.into()))?;
+        let (window, config) = built.map_err(|error| failed(error.to_string()))?;
         let window = match window {
             Some(window) => window,
             None => glutin_winit::finalize_window(event_loop, attributes, &config)

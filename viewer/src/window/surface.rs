@@ -292,16 +292,14 @@ impl ViewWindow {
         self.ui.images_per_second = status.images_per_second;
     }
 
-    /// Closes the window.
+    /// Closes the window. The flight gets the error of an animation that cannot be completed.
     pub fn finish(mut self) {
-        if let Some(recording) = self.recording.take() {
-            // the person has asked for the file
-            let _ = recording.finish();
-        }
+        let saved = self.recording.take().map(Recording::finish);
+        let error = saved.and_then(Result::err).map(|reason| ViewerError::Recording { reason });
         let painter = &mut self.painter;
         // the resources end with the context if it cannot become current
         let _ = self.gl.current(|| painter.destroy());
-        self.shared.close(None);
+        self.shared.close(error);
     }
 }
 
