@@ -84,6 +84,7 @@ impl Capture {
         let mut pilot = Pilot::varied(&self.options, self.vary)?;
         let scene = pilot.env().simulation().scene();
         let mut renderer = SceneRenderer::for_observations(&scene).map_err(vision_failure)?;
+        let (mut obstacles, mut markers) = (scene.obstacles, scene.markers);
         let out = OutputDir::create(&self.out)?;
         self.clear(&out)?;
         // before the first image: every image on disk can be interpreted
@@ -105,6 +106,15 @@ impl Capture {
         for frame in 0..own.end {
             if own.contains(&frame) {
                 let simulation = pilot.env().simulation();
+                // of another episode, or moved by the task
+                if obstacles != simulation.obstacles() {
+                    obstacles = simulation.obstacles().to_vec();
+                    renderer.set_obstacles(&obstacles).map_err(vision_failure)?;
+                }
+                if markers != simulation.markers() {
+                    markers = simulation.markers();
+                    renderer.set_markers(&markers).map_err(vision_failure)?;
+                }
                 renderer.update(simulation.states()).map_err(vision_failure)?;
                 for (drone, state) in simulation.states().iter().enumerate() {
                     let files = images.write(&mut renderer, drone, frame, &out)?;
@@ -121,7 +131,7 @@ impl Capture {
                 bar.inc(1);
             }
             if frame + 1 < own.end
-                && let Some(end) = self.advance(&mut pilot, &mut renderer)?
+                && let Some(end) = self.advance(&mut pilot)?
             {
                 episode += 1;
                 seen.end_episode(end.is_crash());
@@ -187,7 +197,7 @@ impl Capture {
 
     /// Advances the flight to the next frame. Returns the reason of the end if an episode has ended and the next one
     /// has started.
-    fn advance(&self, pilot: &mut Pilot, renderer: &mut SceneRenderer) -> Result<Option<EndReason>, Failure> {
+    fn advance(&self, pilot: &mut Pilot) -> Result<Option<EndReason>, Failure> {
         for _ in 0..self.every {
             pilot.rollout.step().map_err(Failure::work)?;
             if pilot.rollout.is_over() {
@@ -196,7 +206,6 @@ impl Capture {
                     Failure::Work(error) => Failure::Work(error.context("the next episode cannot begin")),
                     other => other,
                 })?;
-                renderer.set_obstacles(pilot.env().simulation().obstacles()).map_err(vision_failure)?;
                 return Ok(end);
             }
         }

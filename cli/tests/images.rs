@@ -2,11 +2,15 @@
 
 use std::process::Command;
 
+use aviary::env::{Env as _, EnvConfig};
+use aviary::rollout::{ControllerPolicy, Rollout};
+use aviary::tasks::{self, RaceTrack};
+use aviary::vision::ImageSize;
 use serde_json::Value;
 
 mod common;
 
-use common::{directory, entries, has_gl, json, refused, run, text};
+use common::{directory, entries, has_gl, json, refused, run, text, write};
 
 #[test]
 fn render_writes_every_kind_of_image_from_every_camera() {
@@ -71,6 +75,49 @@ fn a_capture_has_images_states_intrinsics_and_names_of_ids() {
         assert_eq!(names[objects.get_pixel(20, 0)[0].to_string()]["type"], "background");
     }
     assert_eq!((entries(&dir), entries(&dir.join("rgb"))), (6, 7), "no temporary file remains");
+}
+
+/// The images of a capture are those of the environment's own cameras, also of gates that move or only stand elsewhere
+/// in the next episode.
+#[test]
+fn a_capture_has_the_present_poses_of_gates() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("capture-gates");
+    let moving = include_str!("../../assets/tracks/moving_gates.toml");
+    let size = ImageSize { width: 64, height: 48 };
+    let still = moving.replace("amplitude = 0.15", "amplitude = 0");
+    for (name, toml) in [("moving", moving), ("still", &still)] {
+        let (out, track) = (dir.join(name), write(&dir.join(format!("{name}.toml")), toml));
+        let capture = ["capture", "--task", "race", "--track", text(&track), "--vary", "none", "--size", "64x48"];
+        let frames = ["--duration", "2", "--frames", "5", "--every", "32"];
+        run(&[&capture[..], &frames, &["--out", text(&out)]].concat());
+        let config = EnvConfig::default()
+            .task(|options| options.track = Some(RaceTrack::from_file(&track).unwrap()))
+            .observation_type("rgb".parse().unwrap())
+            .camera_size(size)
+            .episode_seconds(2.0);
+        let env = tasks::make("race", config).unwrap();
+        let controller = tasks::summary("race").unwrap().defaults.controller;
+        let policy = ControllerPolicy::new(controller, &env);
+        let mut rollout = Rollout::start(env, policy, Some(0)).unwrap();
+        let mut seen = Vec::new();
+        for frame in 0..5 {
+            let captured = image::open(out.join(format!("rgb/{frame:06}_0.png"))).unwrap().into_rgb8().into_raw();
+            let observed = rollout.env().observation().rgb.chunks_exact(4).flat_map(|pixel| &pixel[..3]);
+            assert!(captured.iter().eq(observed), "{name} {frame}");
+            assert!(!seen.contains(&captured), "{name} {frame}");
+            seen.push(captured);
+            for _ in 0..32 {
+                rollout.step().unwrap();
+                if rollout.is_over() {
+                    rollout.restart(None).unwrap();
+                    break;
+                }
+            }
+        }
+    }
 }
 
 #[test]
