@@ -82,6 +82,39 @@ fn errors_name_the_line_and_the_expected_value() {
     assert!(error.starts_with("no/such.toml: No such file"), "{error}");
 }
 
+#[test]
+fn frames_of_solid_gates_are_above_the_floor_and_do_not_overlap() {
+    let read = |solid: bool, gates: &[([f64; 3], f64)]| {
+        let gate = |(position, yaw): &([f64; 3], f64)| format!("[[gates]]\nposition = {position:?}\nyaw = {yaw:?}\n");
+        let gates = gates.iter().map(gate).collect::<String>();
+        RaceTrack::from_toml(&format!("solid = {solid}\n{gates}")).map(|_| ()).map_err(|error| error.to_string())
+    };
+    let (low, high, far) = (([0.0, 0.0, 0.27], 0.0), ([0.0, 0.0, 0.28], 0.0), ([3.0, 0.0, 1.0], 0.0));
+    let error = read(true, &[far, low]).unwrap_err();
+    assert!(error.starts_with("gates.position is 0.27 m high for gate 1, expected at least half"), "{error}");
+    assert_eq!([read(false, &[far, low]), read(true, &[far, high])], [Ok(()), Ok(())]);
+    let at = |x: f64, y: f64, z: f64, yaw: f64| ([x, y, z], yaw);
+    for (second, overlaps) in [
+        // an upright of one frame in the opening of the other, or in its plane
+        (at(0.0, 0.3, 1.0, 1.5), true),
+        (at(0.0, 0.0, 1.0, 1.0), true),
+        (at(0.0, 0.3, 1.3, 0.0), true),
+        (at(0.02, 0.0, 1.0, 0.0), true),
+        // next to each other, above each other, and behind each other
+        (at(0.0, 0.561, 1.0, 0.0), false),
+        (at(0.0, 0.0, 1.561, 0.0), false),
+        (at(0.031, 0.0, 1.0, 0.0), false),
+        // one frame that is passed twice, in one direction or in both
+        (at(0.0, 0.0, 1.0, 0.0), false),
+        (at(0.0, 0.0, 1.0, std::f64::consts::PI), false),
+    ] {
+        let got = read(true, &[far, at(0.0, 0.0, 1.0, 0.0), second]);
+        let wrong = "gates.position is in the frame of gate 1 for gate 2, expected gates whose frames do not overlap";
+        assert_eq!(got, if overlaps { Err(wrong.into()) } else { Ok(()) }, "{second:?}");
+        assert_eq!(read(false, &[far, at(0.0, 0.0, 1.0, 0.0), second]), Ok(()));
+    }
+}
+
 proptest! {
     #[test]
     fn damaged_files_are_errors_of_one_line_or_valid_tracks(at in 0usize..300, letter in 32u8..127) {

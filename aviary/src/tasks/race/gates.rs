@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use rand::RngExt as _;
 
 use super::{GateMotion, GateRanges, Race};
-use crate::env::Rng;
+use crate::env::{EnvError, Rng};
 use crate::math::ToNalgebra as _;
 use crate::simulation::SimView;
 use crate::world::placement::CollisionCylinder;
@@ -57,7 +57,53 @@ pub(super) fn bars(centre: [f64; 3], yaw: f64, opening: f64, rgba: [f64; 4]) -> 
         })
 }
 
+/// Returns true if two boxes that only turn about z overlap.
+fn overlap(a: &Obstacle, b: &Obstacle) -> bool {
+    /// Depth of an overlap that rounding can explain, m.
+    const ROUNDING: f64 = 1e-6;
+    let (Shape::Box { half_size: one }, Shape::Box { half_size: two }) = (a.shape, b.shape) else { return false };
+    let apart = b.position - a.position;
+    let sides = [a, b].map(|body| {
+        let normal = gates::normal(body.rpy.z).to_nalgebra();
+        [normal, Vector3::new(-normal.y, normal.x, 0.0)]
+    });
+    // boxes are apart if they are along the direction of a side
+    let meets = |axis: &Vector3<f64>| {
+        let reach = |[x, y]: &[Vector3<f64>; 2], half_size: [f64; 3]| {
+            half_size[0] * x.dot(axis).abs() + half_size[1] * y.dot(axis).abs()
+        };
+        apart.dot(axis).abs() < reach(&sides[0], one) + reach(&sides[1], two) - ROUNDING
+    };
+    apart.z.abs() < one[2] + two[2] - ROUNDING && sides.iter().flatten().all(meets)
+}
+
 impl Race {
+    /// Checks that the frames of the gates without a randomization are above the floor and do not overlap. Two gates
+    /// may have one frame, which drones then pass twice in a lap, in either direction.
+    pub(super) fn validate_frames(&self) -> Result<(), EnvError> {
+        let option = "gates.position";
+        let frames = self.frames().map(|marker| marker.body).collect::<Vec<_>>();
+        for (index, (gate, frame)) in self.gates.iter().zip(frames.chunks(SIDES.len())).enumerate() {
+            if gate[2] - 0.5 * self.opening - 2.0 * BAR < -1e-9 {
+                let got = format!("{} m high for gate {index}", crate::number(gate[2]));
+                let expected = "at least half the opening and 0.03 m, so that the frame is above the floor";
+                return Err(EnvError::Option { option, got, expected });
+            }
+            let normal = self.normal(index);
+            for (other, bars) in frames.chunks(SIDES.len()).enumerate().take(index) {
+                let is_same = self.gates[other] == *gate && {
+                    let towards = self.normal(other);
+                    (normal.x * towards.y - normal.y * towards.x).abs() < 1e-6
+                };
+                if !is_same && frame.iter().any(|bar| bars.iter().any(|other| overlap(bar, other))) {
+                    let got = format!("in the frame of gate {other} for gate {index}");
+                    return Err(EnvError::Option { option, got, expected: "gates whose frames do not overlap" });
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the present centre (world frame, m) and the normal of a gate; `None` if there is no such gate.
     pub fn gate_pose(&self, gate: usize) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let centre = *self.centres().get(gate)?;

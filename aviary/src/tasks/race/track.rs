@@ -3,6 +3,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::Race;
 use crate::env::EnvError;
 use crate::error::{SystemError, toml_message};
 use crate::{UnknownName, number};
@@ -16,7 +17,7 @@ use crate::{UnknownName, number};
 /// | `solid` | `false` | `true`: drones collide with the frames |
 /// | `normals` | see [`Race`](super::Race) | `true`: the observation includes the normals of the next two gates |
 /// | `[[gates]]` | | one section per gate, in the order of the race |
-/// | `gates.position` | | centre, world frame, m |
+/// | `gates.position` | | centre, world frame, m; the frames of solid gates are above the floor and do not overlap |
 /// | `gates.yaw` | | direction in which drones pass the gate, rad from x; default that from the previous gate to the next |
 /// | `[randomization]` `position` | 0 | largest offset of a gate in an episode, along each axis, m |
 /// | `[randomization]` `yaw` | 0 | largest change of the yaw of a gate in an episode, rad |
@@ -191,6 +192,11 @@ impl RaceTrack {
         }
         if let Some(yaw) = self.gates.iter().filter_map(|gate| gate.yaw).find(|yaw| !(-100.0..=100.0).contains(yaw)) {
             return wrong("gates.yaw", number(yaw), "an angle within ±100 rad");
+        }
+        if self.solid {
+            let mut race = Race::default();
+            race.set_track(self);
+            race.validate_frames()?;
         }
         Ok(())
     }
