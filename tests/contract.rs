@@ -6,8 +6,12 @@ mod common;
 
 use common::{airframe_with_duty, assert_contract, no_gl};
 use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
-use mujoco_drones_gym::env::{BoxSpace, EndReason, EnvConfig, TaskDefaults, check_env, check_independence};
-use mujoco_drones_gym::multi_agent::{AgentMap, MultiAgentAviary, ParallelAviary, ParallelEnv, check_parallel_env};
+use mujoco_drones_gym::env::{
+    BoxSpace, EndReason, EnvConfig, ObservationSpace, TaskDefaults, check_env, check_independence,
+};
+use mujoco_drones_gym::multi_agent::{
+    Agent, AgentInfo, AgentMap, MultiAgentAviary, ParallelAviary, ParallelEnv, ParallelStep, check_parallel_env,
+};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Recorded;
 use mujoco_drones_gym::tasks::{self, Antipodal, FlyThrough, Formation, MultiHover, NAMES, Race, Velocity, make};
@@ -330,4 +334,60 @@ fn a_changed_task_is_validated_at_the_next_reset() {
     env.task_mut().waypoints.push([0.0, 0.0, 1.0]);
     env.reset(None).unwrap();
     env.step(&[0.0; 4]).unwrap();
+}
+
+#[test]
+fn a_changed_task_has_no_plans_until_the_next_reset() {
+    let mut env = Race::builder().num_drones(2).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    assert!(env.plans().iter().all(Option::is_some));
+    env.task_mut().laps = 1 << 40;
+    let plans = env.plans();
+    assert!(env.plan(0).is_none() && plans.len() == 2 && plans.iter().all(Option::is_none));
+    assert!(env.reset(None).unwrap_err().to_string().contains("expected 1 to 198 over all laps"));
+}
+
+#[test]
+fn the_checker_of_agents_reports_an_empty_action_space() {
+    /// Agents whose actions have no components.
+    struct WithoutActions(ParallelAviary<MultiHover>, BoxSpace);
+    impl ParallelEnv for WithoutActions {
+        fn name(&self) -> &'static str {
+            self.0.name()
+        }
+        fn possible_agents(&self) -> &[Agent] {
+            self.0.possible_agents()
+        }
+        fn agents(&self) -> &[Agent] {
+            self.0.agents()
+        }
+        fn observation_space(&self, agent: &str) -> Option<&ObservationSpace> {
+            self.0.observation_space(agent)
+        }
+        fn action_space(&self, agent: &str) -> Option<&BoxSpace> {
+            self.0.action_space(agent).map(|_| &self.1)
+        }
+        fn reset(&mut self, seed: Option<u64>) -> Result<(AgentMap<Observation>, AgentMap<AgentInfo>), EnvError> {
+            self.0.reset(seed)
+        }
+        fn step(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<ParallelStep, EnvError> {
+            let hover = actions.iter().map(|(agent, _)| (agent.clone(), vec![0.0; 4])).collect();
+            self.0.step(&hover)
+        }
+        fn episode_steps(&self) -> u64 {
+            self.0.episode_steps()
+        }
+        fn state(&self) -> Vec<f64> {
+            self.0.state()
+        }
+        fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
+            self.0.render(view, size, rgb)
+        }
+        fn simulation(&self) -> &Simulation {
+            self.0.simulation()
+        }
+    }
+    let agents = ParallelAviary::new(MultiHover::builder().build().unwrap());
+    let error = check_parallel_env(&mut WithoutActions(agents, BoxSpace::new([])), 1).unwrap_err().to_string();
+    assert!(error.contains("the action space of an agent is empty"), "{error}");
 }

@@ -142,6 +142,15 @@ fn environments_refuse_interventions_with_the_reason() {
     assert_eq!(error(env.new_obstacles(1)), format!("obstacle_generator is none, {expected}"));
     let ball = Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(3.0, 0.0, 1.0));
     assert!(error(env.set_obstacles(&[ball])).starts_with("obstacles has 1 entry"));
+    let capsule = |half_height| Obstacle { shape: Shape::Capsule { radius: 0.1, half_height }, ..ball };
+    let mut with_capsule = Hover::builder().obstacles([capsule(0.2)]).build().unwrap();
+    with_capsule.reset(Some(1)).unwrap();
+    for (half_height, got) in [(-1.0, "-1"), (f64::NAN, "NaN")] {
+        assert!(!capsule(half_height).distance(&Vector3::z()).is_nan());
+        let expected = format!("the size of obstacle 0 is {got}, expected 0.0001 to 10,000 m");
+        let got = error(with_capsule.set_obstacles(&[capsule(half_height)]));
+        assert!(got.ends_with(&expected), "{got}");
+    }
     let custom = ObstacleConfig { custom: vec![ball], ..ObstacleConfig::new(ObstacleKind::Custom) };
     let mut env = Hover::builder().obstacle_generator(custom).build().unwrap();
     env.reset(Some(1)).unwrap();

@@ -289,6 +289,8 @@ fn unsuitable_environments_drones_and_sticks_are_clear_errors() {
     let mut env = base(ActionType::Rpm).build().unwrap();
     let expected = "drone 2 does not exist, expected an index from 0 to 0";
     assert_eq!(act(&mut env, 2, PilotMode::Vel, [0.0; 4]), Err(expected.into()));
+    let expected = format!("drone {} does not exist, expected an index from 0 to 0", usize::MAX);
+    assert_eq!(act(&mut env, usize::MAX, PilotMode::Vel, [0.0; 4]), Err(expected));
     let expected = "command is NaN for stick 1 of drone 0, expected finite numbers from -1 to 1";
     assert_eq!(act(&mut env, 0, PilotMode::Vel, [0.0, f64::NAN, 0.0, 0.0]), Err(expected.into()));
     // sticks beyond their bounds are clipped

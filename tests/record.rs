@@ -403,6 +403,17 @@ fn invalid_flight_files_are_errors_with_line_and_column() {
     assert!(wrong.record(&env).unwrap_err().to_string().contains("2 drones, expected 1"));
 }
 
+#[test]
+fn frames_of_impossible_sizes_are_errors() {
+    let mut env = Hover::builder().build().unwrap();
+    env.reset(Some(1)).unwrap();
+    for (width, height) in [(u32::MAX, u32::MAX), (8193, 1), (0, 240)] {
+        let size = ImageSize { width, height };
+        let error = FrameRecorder::new(&env, View::Track, size, Overlays::default()).unwrap_err().to_string();
+        assert_eq!(error, format!("size is {width}x{height}, expected sides of 1 to 8192 pixels"));
+    }
+}
+
 /// Flies 1 s of Antipodal with an animation and returns the last frame, or `None` without OpenGL.
 fn last_frame(overlays: Overlays, view: View) -> Option<Vec<u8>> {
     if no_gl() {

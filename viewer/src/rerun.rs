@@ -343,7 +343,8 @@ impl RerunLog {
         series("body_rates", state.angular_velocity.as_slice())?;
         series("rotor_speeds", &of_drone.rotor_speeds)?;
         series("reward", &[of_drone.reward])?;
-        let had_terms = self.last.as_ref().is_some_and(|last| !last.drones[index].reward_terms.is_empty());
+        let last = self.last.as_ref().and_then(|last| last.drones.get(index));
+        let had_terms = last.is_some_and(|last| !last.reward_terms.is_empty());
         for (name, value) in &of_drone.reward_terms {
             let path = format!("reward/{name}");
             if !had_terms {

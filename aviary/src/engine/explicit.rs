@@ -67,6 +67,9 @@ impl ExplicitEngine {
     ///
     /// # Errors
     /// MuJoCo's error from the mirrored model.
+    ///
+    /// # Panics
+    /// If there are fewer obstacles than the world has.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         self.mirror.set_obstacles(obstacles)
     }

@@ -167,6 +167,9 @@ impl Engine {
     ///
     /// # Errors
     /// MuJoCo's error if it cannot copy a shared model.
+    ///
+    /// # Panics
+    /// If there are fewer obstacles than the world has.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.set_obstacles(obstacles),
@@ -179,6 +182,9 @@ impl Engine {
     ///
     /// # Errors
     /// MuJoCo's error if it cannot copy a shared model.
+    ///
+    /// # Panics
+    /// If the number of bodies or states is not that of the drones of the world.
     pub fn begin(&mut self, bodies: &Bodies, states: &[DroneState], steps: u32) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.begin(bodies),

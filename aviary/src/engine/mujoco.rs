@@ -155,6 +155,9 @@ impl MujocoEngine {
     ///
     /// # Errors
     /// MuJoCo's error if it cannot copy a shared model.
+    ///
+    /// # Panics
+    /// If `bodies` has more drones than the world.
     pub fn begin(&mut self, bodies: &Bodies) -> Result<(), Error> {
         self.obstacles.looked_from.clear();
         for (drone, body) in bodies.drones.iter().enumerate() {
@@ -218,6 +221,9 @@ impl MujocoEngine {
     ///
     /// # Errors
     /// MuJoCo's error if it cannot copy a shared model.
+    ///
+    /// # Panics
+    /// If there are fewer obstacles than the world has.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         self.obstacles.list.clear();
         self.obstacles.list.extend_from_slice(obstacles);

@@ -403,10 +403,15 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
     }
 
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
-        self.episode.task.plan(self.simulation.view(), drone)
+        // the task must not be evaluated with options that have not been validated
+        if self.episode.task_changed { None } else { self.episode.task.plan(self.simulation.view(), drone) }
     }
 
     fn plans(&self) -> Vec<Option<Box<dyn Trajectory>>> {
+        // the task must not be evaluated with options that have not been validated
+        if self.episode.task_changed {
+            return (0..self.simulation.num_drones()).map(|_| None).collect();
+        }
         self.episode.task.plans(self.simulation.view())
     }
 

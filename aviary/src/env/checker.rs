@@ -299,6 +299,9 @@ impl<'a> Checker<'a> {
     fn actions(&mut self) -> Result<(), CheckFailure> {
         let failed = self.error("an action out of bounds");
         let space = self.env.action_space().clone();
+        if space.size() == 0 {
+            return self.broken("the action space is empty".into());
+        }
         for (bound, beyond) in [(space.high(), 1.0), (space.low(), -1.0)] {
             let mut outcomes = Vec::new();
             for factor in [0.0, 3.0] {

@@ -3,6 +3,8 @@
 use rand::SeedableRng as _;
 
 use super::{Aviary, EnvError, EnvParts, Rng, Task};
+use crate::engine::BuildError;
+use crate::simulation::SimulationError;
 use crate::world::placement::CollisionCylinder;
 use crate::world::{Obstacle, ObstacleConfig, ObstacleKind};
 
@@ -13,6 +15,8 @@ impl<T: Task> Aviary<T> {
         let (old, moving) = simulation.obstacles().split_at(first_moving);
         let changed = obstacles.iter().enumerate().filter(|(index, new)| old.get(*index) != Some(new));
         for (index, obstacle) in changed {
+            let valid = obstacle.validate(&format!("obstacle {index}"));
+            valid.map_err(|error| SimulationError::from(BuildError::from(error)))?;
             for (drone, state) in simulation.states().iter().enumerate() {
                 // collision cylinders always keep the size that the scene was built with
                 let cylinder = CollisionCylinder::from(&simulation.world().drones[drone].params);

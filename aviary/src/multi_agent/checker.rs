@@ -76,6 +76,7 @@ fn episode(env: &mut dyn ParallelEnv, seed: u64) -> Result<Vec<ParallelStep>, Ch
             let Some(space) = env.action_space(agent) else {
                 return check(false, "a live agent has no action space").map(|()| steps);
             };
+            check(space.size() > 0, "the action space of an agent is empty")?;
             actions.push((agent.clone(), space.sample(&mut rng)));
         }
         if steps.is_empty() {

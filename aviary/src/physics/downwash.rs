@@ -64,6 +64,9 @@ impl Wake {
 /// add_forces(&[Wake::new(&DroneModel::Cf2x.params()); 2], &[at(1.0), at(2.0)], &mut forces);
 /// assert!(forces[0] < 0.0 && forces[1] == 0.0, "only the lower one is pushed");
 /// ```
+///
+/// # Panics
+/// If `wakes` or `forces` is shorter than `states`.
 pub fn add_forces(wakes: &[Wake], states: &[DroneState], forces: &mut [f64]) {
     for i in 1..states.len() {
         let a = states[i].position;

@@ -113,7 +113,8 @@ impl FrameRecorder {
     /// trajectories that drones [plan](DroneEnv::plan) now.
     ///
     /// # Errors
-    /// [`EnvError::Vision`] if OpenGL is not available.
+    /// [`EnvError::Option`] for a side of zero or of more than [`ImageSize::MAX_SIDE`], and [`EnvError::Vision`] if
+    /// OpenGL is not available.
     pub fn new(env: &dyn DroneEnv, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
         let mut recorder = Self::of(env.simulation(), view, size, overlays)?;
         recorder.renderer.keep_in_frame(&env.extent());
@@ -139,6 +140,11 @@ impl FrameRecorder {
     /// # Errors
     /// Returns the errors of [`new`](Self::new).
     pub fn of(simulation: &Simulation, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
+        let sides = 1..=ImageSize::MAX_SIDE;
+        if !(sides.contains(&size.width) && sides.contains(&size.height)) {
+            let (got, expected) = (size.to_string(), "sides of 1 to 8192 pixels");
+            return Err(EnvError::Option { option: "size", got, expected });
+        }
         let every = (f64::from(simulation.ctrl_freq()) / RATE).round().max(1.0) as u32;
         let drones = simulation.num_drones();
         Ok(Self {

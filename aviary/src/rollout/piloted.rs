@@ -1,5 +1,7 @@
 //! Policy that flies some drones by the sticks of a person.
 
+use std::collections::BTreeMap;
+
 use super::{Policy, PolicySnapshot, RolloutError};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
 use crate::control::ControllerKind;
@@ -97,8 +99,8 @@ struct Pilot {
 #[derive(Debug)]
 pub struct PilotedPolicy<P> {
     inner: P,
-    /// Piloted drones by index; drones beyond the end are not piloted.
-    pilots: Vec<Option<Pilot>>,
+    /// Piloted drones by index.
+    pilots: BTreeMap<usize, Pilot>,
     /// Drones whose state in the inner policy is cleared before the next action.
     released: Vec<usize>,
     /// True if the inner policy must be reset before the next action.
@@ -115,7 +117,7 @@ pub struct PilotedPolicy<P> {
 #[derive(Debug)]
 struct State {
     inner: PolicySnapshot,
-    pilots: Vec<Option<Pilot>>,
+    pilots: BTreeMap<usize, Pilot>,
     released: Vec<usize>,
     replaced: bool,
 }
@@ -125,7 +127,7 @@ impl<P> PilotedPolicy<P> {
     pub fn new(inner: P) -> Self {
         Self {
             inner,
-            pilots: Vec::new(),
+            pilots: BTreeMap::new(),
             released: Vec::new(),
             replaced: false,
             limits: ActionLimits::default(),
@@ -159,23 +161,16 @@ impl<P> PilotedPolicy<P> {
     ///
     /// [`act`](Policy::act) returns [`SimulationError::NoDrone`] for an index out of range.
     pub fn take(&mut self, drone: usize, mode: PilotMode) {
-        if self.pilots.len() <= drone {
-            self.pilots.resize(drone + 1, None);
-        }
         self.released.retain(|released| *released != drone);
-        let pilot = &mut self.pilots[drone];
-        match pilot {
-            Some(pilot) if pilot.mode == mode => {}
-            _ => {
-                let sticks = pilot.as_ref().map_or([0.0; 4], |pilot| pilot.sticks);
-                *pilot = Some(Pilot { mode, sticks, decoder: None });
-            }
+        if self.piloted(drone) != Some(mode) {
+            let sticks = self.command(drone).unwrap_or_default();
+            self.pilots.insert(drone, Pilot { mode, sticks, decoder: None });
         }
     }
 
     /// Returns a drone to the inner policy from the next control step on. Nothing changes if it is not piloted.
     pub fn release(&mut self, drone: usize) {
-        if self.pilots.get_mut(drone).and_then(Option::take).is_some() {
+        if self.pilots.remove(&drone).is_some() {
             self.released.push(drone);
         }
     }
@@ -184,19 +179,19 @@ impl<P> PilotedPolicy<P> {
     /// not piloted. The policy clips sticks to −1 and 1; [`act`](Policy::act) returns [`EnvError::Option`] for one that
     /// is not finite.
     pub fn set_command(&mut self, drone: usize, sticks: [f64; 4]) {
-        if let Some(Some(pilot)) = self.pilots.get_mut(drone) {
+        if let Some(pilot) = self.pilots.get_mut(&drone) {
             pilot.sticks = sticks;
         }
     }
 
     /// Returns the mode in which a person flies a drone; `None` if the inner policy flies it.
     pub fn piloted(&self, drone: usize) -> Option<PilotMode> {
-        Some(self.pilots.get(drone)?.as_ref()?.mode)
+        Some(self.pilots.get(&drone)?.mode)
     }
 
     /// Returns the sticks of a piloted drone as they were set.
     pub fn command(&self, drone: usize) -> Option<[f64; 4]> {
-        Some(self.pilots.get(drone)?.as_ref()?.sticks)
+        Some(self.pilots.get(&drone)?.sticks)
     }
 
     /// Returns the inner policy.
@@ -282,11 +277,10 @@ impl<P: Policy> PilotedPolicy<P> {
     fn fly(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), EnvError> {
         let (action_type, count) = (env.action_type(), env.simulation().num_drones());
         let size = action_type.size();
-        let pilots = self.pilots.iter_mut().enumerate();
         let mut decoded = None;
         self.speeds.clear();
         self.speeds.resize(count, [0.0; 4]);
-        for (drone, pilot) in pilots.filter_map(|(drone, pilot)| Some((drone, pilot.as_mut()?))) {
+        for (&drone, pilot) in &mut self.pilots {
             if pilot.mode.action_type() == action_type {
                 let high = &env.action_space().high()[size * drone..];
                 let part = action[size * drone..].iter_mut().zip(high);
@@ -308,8 +302,8 @@ impl<P: Policy> PilotedPolicy<P> {
                 other => other,
             });
         }
-        for (drone, pilot) in self.pilots.iter().enumerate() {
-            if pilot.as_ref().is_some_and(|pilot| pilot.mode.action_type() != action_type) {
+        for (&drone, pilot) in &self.pilots {
+            if pilot.mode.action_type() != action_type {
                 let part = size * drone..size * (drone + 1);
                 action[part.clone()].copy_from_slice(&self.action[part]);
             }
@@ -327,7 +321,7 @@ impl<P: Policy> Policy for PilotedPolicy<P> {
         self.inner.reset(env)?;
         self.released.clear();
         self.replaced = false;
-        self.pilots.iter_mut().flatten().for_each(|pilot| pilot.decoder = None);
+        self.pilots.values_mut().for_each(|pilot| pilot.decoder = None);
         Ok(())
     }
 
@@ -338,14 +332,14 @@ impl<P: Policy> Policy for PilotedPolicy<P> {
     /// the mode of a piloted drone, and for sticks that are not finite; [`SimulationError::NoDrone`] for a drone that
     /// does not exist.
     fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
-        for (drone, pilot) in self.pilots.iter().enumerate() {
-            pilot.as_ref().map_or(Ok(()), |pilot| check(env, drone, &pilot.sticks))?;
+        for (&drone, pilot) in &self.pilots {
+            check(env, drone, &pilot.sticks)?;
         }
         self.update_inner(env)?;
-        if self.pilots.iter().flatten().count() < env.simulation().num_drones() {
+        if self.pilots.len() < env.simulation().num_drones() {
             self.inner.act(env, action)?;
         }
-        if self.pilots.iter().any(Option::is_some) {
+        if !self.pilots.is_empty() {
             self.fly(env, action)?;
         }
         Ok(())
@@ -356,12 +350,12 @@ impl<P: Policy> Policy for PilotedPolicy<P> {
     /// # Errors
     /// The errors of the inner policy.
     fn reset_drone(&mut self, env: &dyn DroneEnv, drone: usize) -> Result<(), RolloutError> {
-        match self.pilots.get_mut(drone) {
-            Some(Some(pilot)) => {
+        match self.pilots.get_mut(&drone) {
+            Some(pilot) => {
                 pilot.decoder = None;
                 Ok(())
             }
-            _ => self.inner.reset_drone(env, drone),
+            None => self.inner.reset_drone(env, drone),
         }
     }
 

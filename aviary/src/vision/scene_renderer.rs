@@ -210,15 +210,15 @@ impl SceneRenderer {
         self.stale = true;
         self.posed = None;
         for (index, obstacle) in obstacles.iter().enumerate() {
-            if let Some(own) = self.obstacles.get_mut(index) {
-                *own = *obstacle;
-            }
             let geom: GeomId = self.data.model().find(&World::obstacle_name(index))?;
             // the copy is safe: the renderer uses only meshes and textures of the shared model, which do not change
             let mut model = self.data.patch_model()?;
             place_geom(&mut model, geom, obstacle)?;
             let colour = obstacle.rgba.map(|x| x as f32);
             model.geom_rgba_mut()[4 * geom.index()..][..4].copy_from_slice(&colour);
+            if let Some(own) = self.obstacles.get_mut(index) {
+                *own = *obstacle;
+            }
         }
         self.standing = bounds(obstacles.iter().chain(&self.markers));
         Ok(())
@@ -232,11 +232,11 @@ impl SceneRenderer {
     pub fn set_markers(&mut self, markers: &[Marker]) -> Result<(), Error> {
         self.stale = true;
         for (index, marker) in markers.iter().enumerate() {
+            let geom: GeomId = self.data.model().find(&marker.name)?;
+            place_geom(&mut self.data.patch_model()?, geom, &marker.body)?;
             if let Some(own) = self.markers.get_mut(index) {
                 *own = marker.body;
             }
-            let geom: GeomId = self.data.model().find(&marker.name)?;
-            place_geom(&mut self.data.patch_model()?, geom, &marker.body)?;
         }
         self.standing = bounds(self.obstacles.iter().chain(&self.markers));
         Ok(())

@@ -63,9 +63,8 @@ impl Shape {
             Self::Box { half_size: [x, y, z] } => boxed([point.x.abs() - x, point.y.abs() - y, point.z.abs() - z]),
             Self::Sphere { radius } => point.norm() - radius,
             Self::Cylinder { radius, half_height } => boxed([sideways - radius, point.z.abs() - half_height]),
-            Self::Capsule { radius, half_height } => {
-                sideways.hypot(point.z - point.z.clamp(-half_height, half_height)) - radius
-            }
+            // also of sizes that no scene has
+            Self::Capsule { radius, half_height } => sideways.hypot((point.z.abs() - half_height).max(0.0)) - radius,
         }
     }
 
