@@ -10,7 +10,8 @@ use common::{directory, json, recorded_flight, refused, text, write};
 #[test]
 fn trajectories_are_much_longer_than_an_episode() {
     let path = directory("long-trajectories").join("path.toml");
-    let steps = format!("kind = \"steps\"\nhold = 1e6\npoints = [{}]\n", ["[0, 0, 1]"; 100].join(", "));
+    let steps =
+        format!("kind = \"steps\"\nstart = [0, 0, 1]\nhold = 1e6\npoints = [{}]\n", ["[0, 0, 1]"; 100].join(", "));
     let circle = "kind = \"circle\"\nradius = 0.3\nperiod = 6e6\ncentre = [-0.3, 0.0, 1.0]\n";
     for toml in [&steps[..], circle] {
         write(&path, toml);
@@ -25,7 +26,7 @@ fn trajectories_are_much_longer_than_an_episode() {
 fn threads_that_cannot_be_started_are_an_error_of_one_line() {
     let dir = directory("too-many-threads");
     write(&dir.join("flight.csv"), &recorded_flight(5.0));
-    let program = format!("ulimit -v 3000000; exec {} compare --flights . --drone cf2x", env!("CARGO_BIN_EXE_aviary"));
+    let program = format!("ulimit -v 1000000; exec {} compare --flights . --drone cf2x", env!("CARGO_BIN_EXE_aviary"));
     let mut shell = Command::new("sh");
     shell.args(["-c", &program]).env("RAYON_NUM_THREADS", "60000").current_dir(&dir);
     let output = shell.output().unwrap();
