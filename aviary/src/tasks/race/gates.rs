@@ -86,7 +86,7 @@ impl Race {
         for (index, (gate, frame)) in self.gates.iter().zip(frames.chunks(SIDES.len())).enumerate() {
             if gate[2] - 0.5 * self.opening - 2.0 * BAR < -1e-9 {
                 let got = format!("{} m high for gate {index}", crate::number(gate[2]));
-                let expected = "at least half the opening and 0.03 m, so that the frame is above the floor";
+                let expected = "at least half the opening plus 0.03 m";
                 return Err(EnvError::Option { option, got, expected });
             }
             let normal = self.normal(index);
