@@ -386,6 +386,12 @@ fn the_checker_of_agents_reports_an_empty_action_space() {
         fn simulation(&self) -> &Simulation {
             self.0.simulation()
         }
+        fn drone_env(&self) -> &dyn DroneEnv {
+            self.0.drone_env()
+        }
+        fn drone_env_mut(&mut self) -> &mut dyn DroneEnv {
+            self.0.drone_env_mut()
+        }
     }
     let agents = ParallelAviary::new(MultiHover::builder().build().unwrap());
     let error = check_parallel_env(&mut WithoutActions(agents, BoxSpace::new([])), 1).unwrap_err().to_string();

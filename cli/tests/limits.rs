@@ -38,8 +38,9 @@ fn threads_that_cannot_be_started_are_an_error_of_one_line() {
 /// The plans of two drones are not compared at every moment of weeks.
 #[test]
 fn races_over_thousands_of_kilometres_are_planned_at_once() {
-    let gate =
-        |index: usize| format!("[[gates]]\nposition = [{}, 0.0, 1.0]\n", if index % 2 == 0 { 1e4 } else { -1e4 });
+    let gate = |index: usize| {
+        format!("[[gates]]\nposition = [{}, 0.0, 1.0]\n", if index.is_multiple_of(2) { 1e4 } else { -1e4 })
+    };
     let track = (0..198).map(gate).collect::<String>();
     let path = write(&directory("far-gates").join("far.toml"), &format!("laps = 1\n{track}"));
     let fly = ["fly", "--task", "race", "--num-drones", "2", "--duration", "2", "--engine", "hybrid"];

@@ -258,10 +258,10 @@ mod tests {
         DEVICES.lock().unwrap().push(device);
     }
 
-    /// Runs in a process of its own: the device is lost for all tests of the process.
+    /// Runs in a process of its own, whose other tests would have no device.
     #[test]
-    #[ignore = "run by a_lost_device_is_an_error_of_one_line"]
-    fn lose_the_device() {
+    #[ignore = "run by a_destroyed_device_is_an_error_of_one_line"]
+    fn destroy_the_device() {
         let Some(device) = for_tests() else { return };
         let options = EnvConfig::default();
         let mut env = GpuAviary::make("hover", options, VecConfig::new(4), &device, Precision::Single).unwrap();
@@ -276,9 +276,9 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_device_is_an_error_of_one_line() {
+    fn a_destroyed_device_is_an_error_of_one_line() {
         let program = std::env::current_exe().unwrap();
-        let arguments = ["--exact", "device::tests::lose_the_device", "--ignored"];
+        let arguments = ["--exact", "device::tests::destroy_the_device", "--ignored"];
         let output = Command::new(program).args(arguments).output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success() && text.contains("1 passed"), "{text}");

@@ -77,7 +77,7 @@ pub enum GpuError {
     Actions {
         /// The tensor.
         got: String,
-        /// What the batch needs.
+        /// Tensor that the batch needs.
         expected: String,
     },
     /// An error of the device during its work: out of memory, or no longer available.

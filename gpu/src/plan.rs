@@ -30,8 +30,8 @@ use crate::error::GpuError;
 use crate::parameters::{Parameters, motion_of};
 use crate::tasks::{GpuTask, KernelTask};
 
-/// Largest number of control steps whose commands or states are on their way: a kernel visits each of them in every
-/// step, in instructions of its own.
+/// Largest number of control steps whose commands or states arrive later: a kernel visits each of them in every step,
+/// in instructions of its own.
 const MAX_LATE: usize = 64;
 
 /// Largest number of drones of an environment: a kernel visits every other drone, in instructions of its own.
