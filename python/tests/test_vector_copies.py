@@ -185,3 +185,16 @@ VectorAviary("hover", 300).reset(seed=1)
     assert len(lines) == 3
     for line, count in zip(lines, (1 << 24, 1 << 22, 1 << 19), strict=True):
         assert line.startswith(f"num_envs is {count}, expected at most ")
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_results_and_tensors_share_their_memory_by_dlpack(copy):
+    torch = pytest.importorskip("torch")
+    env = VectorAviary("hover", 4, copy=copy)
+    observations, _ = env.reset(seed=1)
+    step = env.step(torch.zeros((4, 4), dtype=torch.float64))
+    for array in (observations, *step[:4]):
+        tensor = torch.from_dlpack(array)
+        assert tensor.shape == array.shape and tensor.data_ptr() == array.ctypes.data
+        np.testing.assert_array_equal(tensor.numpy(), array)
+    env.close()
