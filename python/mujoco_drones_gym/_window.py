@@ -1,11 +1,17 @@
-"""The window of `render_mode="human"`."""
+"""Images of `render`, and the window of `render_mode="human"`."""
 
 from __future__ import annotations
 
 import atexit
 import time
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.logger import warn
 
 from mujoco_drones_gym import _native
+from mujoco_drones_gym._options import camera_of
 
 # drivers of OpenGL release their objects at the end of the process, when no window may draw any more
 atexit.register(_native.close_windows)
@@ -64,6 +70,38 @@ class Window:
         if self._window is not None:
             self._window.close()
             self._window = None
+
+
+class Rendering:
+    """Images and window of an environment, which sets the attributes in its constructor."""
+
+    render_mode: str | None
+    _env: Any
+    _window: Window | None
+    _camera: str
+    _frame_size: tuple[int, int]
+    _has_episode: bool
+
+    def render(self, camera_mode: str | None = None) -> np.ndarray | None:
+        """Returns an image of the present state, or shows the present state in the window.
+
+        Args:
+            camera_mode: "track" (follows the drones), "fpv" (onboard), "fixed", "front" or "top"; None for the option
+                `camera`.
+
+        Returns:
+            Image, uint8 (height, width, 3). None without a `camera_mode`, if the render mode is "human" or None.
+        """
+        if not self._has_episode:
+            raise ResetNeeded("render was called before the first reset, expected a call of reset first")
+        camera = self._camera if camera_mode is None else camera_of("camera_mode", camera_mode)
+        if self.render_mode is None and camera_mode is None:
+            warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
+            return None
+        if self._window is not None and camera_mode is None:
+            self._window.refresh(self._env)
+            return None
+        return self._env.render(camera, *self._frame_size)
 
 
 def render_modes(metadata: dict[str, object], mode: str | None) -> list[str]:

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::model::{INT64, ModelProto, NodeProto, TensorProto};
-use super::reader::wrong;
+use super::runtime::wrong;
 use crate::FormatError;
 
 /// Operators that a graph of a policy may have: those of feedforward, recurrent and attention layers, of normalization,

@@ -13,14 +13,12 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from gymnasium.logger import warn
 
 from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     Render,
     action_numbers,
-    camera_of,
     check_reset_options,
     drone_index,
     native_options,
@@ -29,7 +27,7 @@ from mujoco_drones_gym._options import (
     seed_of,
     wind_options,
 )
-from mujoco_drones_gym._window import Window, render_modes
+from mujoco_drones_gym._window import Rendering, Window, render_modes
 from mujoco_drones_gym.envs._readings import Readings
 from mujoco_drones_gym.utils.enums import ActionType, DroneModel, ObservationType, Physics
 
@@ -62,7 +60,7 @@ class _TaskState(NamedTuple):
     np_random_seed: int | None
 
 
-class BaseAviary(Readings, gym.Env):
+class BaseAviary(Rendering, Readings, gym.Env):
     """Drones in one world: motor speeds in, states out. The tasks are subclasses.
 
     Observation, float32 (20 N,), per drone: position (m), quaternion (w, x, y, z), roll, pitch, yaw (rad), velocity
@@ -387,27 +385,6 @@ class BaseAviary(Readings, gym.Env):
         if self._window is not None:
             self._window.step(self._env)
         return obs, reward, terminated, truncated, info
-
-    def render(self, camera_mode: str | None = None) -> np.ndarray | None:
-        """Returns an image of the present state, or shows the present state in the window.
-
-        Args:
-            camera_mode: "track" (follows the drones), "fpv" (onboard), "fixed", "front" or "top"; None for the option
-                `camera`.
-
-        Returns:
-            Image, uint8 (height, width, 3). None without a `camera_mode`, if the render mode is "human" or None.
-        """
-        if not self._has_episode:
-            raise ResetNeeded("render was called before the first reset, expected a call of reset first")
-        camera = self._camera if camera_mode is None else camera_of("camera_mode", camera_mode)
-        if self.render_mode is None and camera_mode is None:
-            warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
-            return None
-        if self._window is not None and camera_mode is None:
-            self._window.refresh(self._env)
-            return None
-        return self._env.render(camera, *self._frame_size)
 
     def close(self) -> None:
         """Closes the window, and ends the files of the episode in the output folder. The next `reset` opens others."""

@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from gymnasium.logger import warn
 from pettingzoo import ParallelEnv
 
 from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     action_numbers,
-    camera_of,
     check_reset_options,
     drone_index,
     native_options,
@@ -25,15 +23,15 @@ from mujoco_drones_gym._options import (
     wind_options,
 )
 from mujoco_drones_gym._states import DroneStates
-from mujoco_drones_gym._window import Window, render_modes
+from mujoco_drones_gym._window import Rendering, Window, render_modes
 
 __all__ = ["MultiAgentAviary", "parallel_env"]
 
 #: Attributes that a copy does not have.
-_NOT_COPIED = ("_env", "_window", "_started", "_stepped", "agents")
+_NOT_COPIED = ("_env", "_window", "_has_episode", "_stepped", "agents")
 
 
-class MultiAgentAviary(DroneStates, ParallelEnv):
+class MultiAgentAviary(Rendering, DroneStates, ParallelEnv):
     """A task in which every drone is an agent with its own observation, action, reward and end.
 
     The agents are `drone0`, `drone1`, ... An agent leaves when its episode ends. Its drone stays in the simulation with
@@ -64,7 +62,7 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         self._camera = render.camera
         _opengl.prepare()
         self._env = _native.Parallel(task, native)
-        self._started = False
+        self._has_episode = False
         self.task = task
         constants = self._env.constants()
         self.NUM_DRONES: int = constants["num_drones"]
@@ -121,11 +119,11 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         """
         seed = seed_of(seed)
         check_reset_options(options)
-        if seed is None and not self._started:
+        if seed is None and not self._has_episode:
             seed = int(np.random.default_rng().integers(2**63))
         observations, infos = self._env.reset(seed)
         self.agents = self._env.agents
-        self._started = True
+        self._has_episode = True
         self._stepped = []
         if self._window is not None:
             self._window.reset(self._env)
@@ -146,7 +144,7 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         if not isinstance(actions, Mapping):
             raise ValueError(f"actions is {short(actions)}, expected a dict with an action for every live agent")
         if not self.agents:
-            if not self._started:
+            if not self._has_episode:
                 raise ResetNeeded("step was called on a new environment, expected a call of reset first")
             if actions:
                 raise ResetNeeded("step was called after the end of the episode, expected a call of reset first")
@@ -174,27 +172,6 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         the body frame (rad/s).
         """
         return self._env.state().astype(np.float32)
-
-    def render(self, camera_mode: str | None = None) -> np.ndarray | None:
-        """Returns an image of the present state, or shows the present state in the window.
-
-        Args:
-            camera_mode: "track" (follows the drones), "fpv" (onboard), "fixed", "front" or "top"; None for the option
-                `camera`.
-
-        Returns:
-            Image, uint8 (height, width, 3). None without a `camera_mode`, if the render mode is "human" or None.
-        """
-        if not self._started:
-            raise ResetNeeded("render was called before the first reset, expected a call of reset first")
-        camera = self._camera if camera_mode is None else camera_of("camera_mode", camera_mode)
-        if self.render_mode is None and camera_mode is None:
-            warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
-            return None
-        if self._window is not None and camera_mode is None:
-            self._window.refresh(self._env)
-            return None
-        return self._env.render(camera, *self._frame_size)
 
     def close(self) -> None:
         """Ends the episode, and closes the window, if there is one. The next `reset` opens another one."""
